@@ -247,7 +247,13 @@ MADE_BY_CALLS = (
 """The classes whose objects a call returns: their constructors are no part of the reference."""
 CLASS_METHODS = ("Table.open", "Scene.read")  # the others read replies of the server
 INTERNAL = (
-    *("Client.send_block", "AsyncClient.send_block", "Joint.new_steps", "MujocoJoint.new_steps"),
+    *("Client.send_block", "AsyncClient.send_block"),
+    *(
+        f"{kind}.{call}"
+        for kind in ("Joint", "MujocoJoint")
+        for call in ("new_steps", "warn_beyond", "warn_uncovered", "weakest")
+    ),
+    *("MujocoJoint.attach", "MujocoJoint.lose_wrench", "MujocoJoint.read_scene"),
     *("Scene.component", "Scene.query"),
 )
 """Public members that other modules of the client call, and no program."""

@@ -12,30 +12,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from data.paper.part import (
-    LOADS,
-    OUTPUTS,
-    Curve,
-    Effort,
-    Mask,
-    PaperPart,
-    Plot,
-    ProgressCallback,
-    Vector,
-)
+from data.paper.part import LOADS, Curve, Effort, Mask, PaperPart, Plot, ProgressCallback, Vector
 from data.paper.scenes import LoopRun, move_arm
 from tests.validation.clamped import shipped
 from tests.validation.finding import Finding
 from wrenchbook.fea.solve import Solver
 from wrenchbook.service.client import Client
+from wrenchbook.service.contract import OUTPUTS
 
 METHODS = (None, "griddata")  # None: the table's own choice
 # Largest RMS error of an output over its range in the trajectory: an engineer's one per cent.
 MAX_ERROR = 1e-2
 MIN_WITHIN_BARS = 0.9  # part of the errors within their error bars, which are 95 % ones
 # Part of the largest output of its kind: the straight influence may not resolve a smaller one.
-SMALL = 0.1
-WIDER = 0.05  # part of the span that each load had on the rigid plate
+SMALL_OUTPUT = 0.1
+MARGIN = 0.05  # part of the span that each load had on the rigid plate
 SOLVE_S = 600.0  # time for one solve on a slow machine
 
 
@@ -120,10 +111,10 @@ def corners(wrenches: Vector) -> Vector:
     """Return the corners of each axis' loads in wrenches (n, 6), N and N·m: griddata's hull.
 
     Shape (m, 6), m at most 24: eight corners of F_i, M_j, M_k of each axis, the other loads zero.
-    Each span holds zero and is wider by `WIDER`, since the plate bends under the arm.
+    Each span holds zero and is wider by `MARGIN`, since the plate bends under the arm.
     """
     low, high = np.minimum(wrenches.min(axis=0), 0.0), np.maximum(wrenches.max(axis=0), 0.0)
-    margin = WIDER * (high - low)
+    margin = MARGIN * (high - low)
     ends = np.array([low - margin, high + margin])
     points = []
     for axis in range(3):
@@ -212,9 +203,7 @@ def _numbers(checks: list[Check], limits: Vector) -> dict[str, Any]:
         "methods": {
             requested or "default": {
                 "method": check.method,
-                "coverage": dict(
-                    zip(("covered", "thin", "outside", "unknown"), check.run.coverage, strict=True)
-                ),
+                "coverage": check.run.coverage,
                 "range": check.span.tolist(),
                 "small": [OUTPUTS[output] for output in np.flatnonzero(_is_small(check.span))],
                 "rms_over_range": check.relative.tolist(),
@@ -237,7 +226,7 @@ def _numbers(checks: list[Check], limits: Vector) -> dict[str, Any]:
 def _is_small(span: Vector) -> Mask:
     """Return which outputs move little against the largest of their kind; (6,), m and rad."""
     by_kind = span.reshape(2, 3)
-    return (by_kind < SMALL * by_kind.max(axis=1, keepdims=True)).ravel()
+    return (by_kind < SMALL_OUTPUT * by_kind.max(axis=1, keepdims=True)).ravel()
 
 
 def _trace(run: LoopRun) -> dict[str, Any]:

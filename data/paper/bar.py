@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from data.paper.part import (
+    LEVELS,
     PAPER,
     Curve,
     Effort,
@@ -12,7 +13,7 @@ from data.paper.part import (
     Plot,
     ProgressCallback,
     Vector,
-    apart,
+    worst_relative,
 )
 from data.paper.scenes import press
 from tests.validation.clamped import shipped
@@ -27,8 +28,6 @@ LEVERS = (0.0, 0.1)  # m: as in the figure, and with a moment at the tip as well
 CLOSED_FORM = 5e-3
 LOOP = 1e-6  # of the third level against the second
 ROUNDS = 12  # of the lever that moves as the bar bends: each leaves some 1e-3 of the error
-
-_LEVELS: tuple[str, ...] = ("closed form", "finite elements", "MuJoCo and service")
 
 
 def tip_load(client: Client, effort: Effort, report: ProgressCallback) -> PaperPart:
@@ -48,11 +47,11 @@ def tip_load(client: Client, effort: Effort, report: ProgressCallback) -> PaperP
         loads = np.array(effort.tip_loads)
         closed, solved = (coupled(matrix, loads, lever) for matrix in compliances)
         run = press(client, "bar", loads, lever)
-        levels = dict(zip(_LEVELS, (closed, solved, run.displacements), strict=True))
+        levels = dict(zip(LEVELS, (closed, solved, run.displacements), strict=True))
         part.findings += _findings(lever, levels)
         part.numbers[f"lever {lever:g} m"] = {
             "load_N": loads.tolist(),
-            "answers_not_covered": sum(run.coverage[1:]),
+            "answers_not_covered": run.not_covered,
             **{name: matrix[:, [2, 4]].tolist() for name, matrix in levels.items()},
         }
         part.plots += _plots(lever, loads, levels)
@@ -80,16 +79,16 @@ def coupled(compliance: Vector, loads: Vector, lever: float) -> Vector:
     turns with the interface. The compliance (6, 6) is in m/N to rad/(N·m).
     """
     displacements = np.zeros((len(loads), 6))
-    for place, load in enumerate(loads):
+    for row, load in enumerate(loads):
         force = np.array([0.0, 0.0, -load])
         for _ in range(ROUNDS):
-            arm = rotation_matrix(displacements[place, 3:]) @ [lever, 0.0, 0.0]
-            displacements[place] = compliance @ np.concatenate([force, np.cross(arm, force)])
+            arm = rotation_matrix(displacements[row, 3:]) @ [lever, 0.0, 0.0]
+            displacements[row] = compliance @ np.concatenate([force, np.cross(arm, force)])
     return displacements
 
 
 def _findings(lever: float, levels: dict[str, Vector]) -> list[Finding]:
-    """Compare the levels, shapes (n, 6), m and rad, from the ground up."""
+    """Compare each level with the one before it; shapes (n, 6), m and rad."""
     closed, solved, looped = levels.values()
     at = f"lever {lever:g} m"
     findings = []
@@ -99,7 +98,7 @@ def _findings(lever: float, levels: dict[str, Vector]) -> list[Finding]:
         findings.append(
             Finding(f"bar, {at}: {name} by finite elements, {unit}", source, *last, CLOSED_FORM)
         )
-    largest = max(apart(looped[:, output], solved[:, output]) for output in (2, 4))
+    largest = max(worst_relative(looped[:, output], solved[:, output]) for output in (2, 4))
     quantity = f"bar, {at}: MuJoCo and service, worst relative"
     findings.append(Finding(quantity, "finite elements", 0.0, largest, LOOP, "absolute"))
     return findings

@@ -7,7 +7,7 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from data.paper.part import OUTPUTS
+from wrenchbook.service.contract import OUTPUTS
 from wrenchbook.service.report.layout import PAGE_STYLE, ReportSection, section_html
 
 LAYOUT = {"template": "plotly_white", "height": 460, "margin": {"t": 20, "r": 20}}
@@ -19,11 +19,19 @@ _STYLES: dict[str, dict[str, Any]] = {
     "points": {"mode": "markers", "marker": {"size": 8, "symbol": "circle-open"}},
     "crosses": {"mode": "markers", "marker": {"size": 8, "symbol": "x-thin-open"}},
 }
+# Columns of a component's outputs: the key of the numbers, and their format.
+_COLUMNS = {
+    "range": ("range", ".2e"),
+    "RMS/range": ("rms_over_range", ".1e"),
+    "largest error": ("largest_error", ".1e"),
+    "median error bar": ("median_bar", ".1e"),
+    "inside": ("inside_bars", ".0%"),
+}
 HEAD = ("quantity", "beside", "reference", "computed", "error", "band", "verdict")
 
 
 def as_page(body: dict[str, Any]) -> str:
-    """Lay out what `run` gives, JSON-able values, as an HTML page."""
+    """Return the result of `run`, JSON-able values, as an HTML page."""
     heading = "The coupling paper, reproduced"
     parts, first = [], True
     for part in body["parts"].values():
@@ -94,43 +102,28 @@ def _components(numbers: dict[str, Any]) -> list[ReportSection]:
     for name, part in numbers.items():
         if not isinstance(part, dict) or "methods" not in part:
             continue
-        lines = []
-        for figures in part["methods"].values():
-            for place, output in enumerate(OUTPUTS):
-                lines.append(_component_line(figures, place, output))
+        lines = [
+            (
+                figures["method"],
+                output,
+                *(f"{figures[key][k]:{form}}" for key, form in _COLUMNS.values()),
+                "small" if output in figures["small"] else "",
+            )
+            for figures in part["methods"].values()
+            for k, output in enumerate(OUTPUTS)
+        ]
         note = (
             f"{part['rows']} rows for {part['wrenches']} wrenches. Ranges, errors, error bars in m "
             "and rad; small: below a tenth of the largest output of its kind."
         )
-        head = (
-            "method",
-            "output",
-            "range",
-            "RMS/range",
-            "largest error",
-            "median error bar",
-            "inside",
-            "",
-        )
+        head = ("method", "output", *_COLUMNS, "")
         sections.append(ReportSection(f"Error of each output on {name}", note, head, tuple(lines)))
         sections.append(_times(name, part))
     return sections
 
 
-def _component_line(figures: dict[str, Any], place: int, output: str) -> tuple[str, ...]:
-    return (
-        figures["method"],
-        output,
-        f"{figures['range'][place]:.2e}",
-        f"{figures['rms_over_range'][place]:.1e}",
-        f"{figures['largest_error'][place]:.1e}",
-        f"{figures['median_bar'][place]:.1e}",
-        f"{figures['inside_bars'][place]:.0%}",
-        "small" if output in figures["small"] else "",
-    )
-
-
 def _times(name: str, part: dict[str, Any]) -> ReportSection:
+    """Return a component's run times by method."""
     head = ("method", "covered", "one answer", "over HTTP", "one solve", "the whole loop")
     lines = tuple(
         (

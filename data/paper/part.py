@@ -16,9 +16,9 @@ Mask = NDArray[np.bool_]
 ProgressCallback = Callable[[float, str], None]
 """Called with the fraction done of a part, 0 to 1, and what is being done."""
 
-OUTPUTS = ("ux", "uy", "uz", "rx", "ry", "rz")
-LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+LOADS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")  # as the paper writes them
 PAPER = "SIMULTECH 2017"
+LEVELS: tuple[str, ...] = ("closed form", "finite elements", "MuJoCo and service")
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class PaperPart:
         }
 
 
-def apart(computed: Vector, expected: Vector) -> float:
+def worst_relative(computed: Vector, expected: Vector) -> float:
     """Return the largest relative error of numbers (n,); those expected to be 0 do not count."""
     known = expected != 0.0
     if not known.any():

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from data.paper.part import Mask, Vector
-from wrenchbook.service.client.mount.mujoco_mount import MujocoMount, engine
+from wrenchbook.service.client.mount.mujoco_mount import MujocoMount
+from wrenchbook.service.client.mujoco import engine
 
 ARM = Path(__file__).parents[1] / "scenes" / "arm.xml"
 
@@ -53,12 +54,17 @@ class LoopRun:
     wrenches: Vector  # (n, 6), N and N·m, as read from the sensors
     displacements: Vector  # (n, 6), m and rad, of the interface in the simulation
     covered: Mask  # (n,): whether the last answer was covered
-    coverage: tuple[int, int, int, int]  # answers that were covered, thin, outside, unknown
+    coverage: dict[str, int]  # numbers of answers that were covered, thin, outside, unknown
     wall_s: float  # duration of the run
+
+    @property
+    def not_covered(self) -> int:
+        """The number of answers that were not covered."""
+        return sum(self.coverage.values()) - self.coverage["covered"]
 
 
 def press(source: Any, component: str, loads: Any, lever: float = 0.0, **options: Any) -> LoopRun:
-    """Press a component downwards by loads (n,), N, in turn; return the poses and sensors' values.
+    """Press a component downwards by loads (n,), N, in turn; return the record of the run.
 
     The loads act at a `lever`, m, along x. `source` is a `Table` or a `Client`; `options` are those
     of the mount.
@@ -117,22 +123,22 @@ class _Trace:
 
     def run(self) -> LoopRun:
         """Return the records of a simulation that has ended."""
-        coverage = self._mount.mount.coverage
+        counts = self._mount.mount.coverage
         records = np.array(self._records)
         return LoopRun(
             times=records[:, 0],
             wrenches=records[:, 1:7],
             displacements=records[:, 7:],
             covered=np.array(self._covered),
-            coverage=(coverage.covered, coverage.thin, coverage.outside, coverage.unknown),
+            coverage={k: getattr(counts, k) for k in ("covered", "thin", "outside", "unknown")},
             wall_s=perf_counter() - self._began,
         )
 
 
-def _between_waypoints(part: float) -> Vector:
-    """Return joint angles, shape (6,), rad, at a part of the way, 0 to 1; at rest at waypoints."""
+def _between_waypoints(fraction: float) -> Vector:
+    """Return joint angles (6,), rad, at a fraction of the way, 0 to 1; at rest at waypoints."""
     legs = len(WAYPOINTS) - 1
-    leg = min(int(part * legs), legs - 1)
-    along = min(max(part * legs - leg, 0.0), 1.0)
+    leg = min(int(fraction * legs), legs - 1)
+    along = min(max(fraction * legs - leg, 0.0), 1.0)
     smooth = along**3 * (10 - 15 * along + 6 * along**2)  # no jerk at the ends
     return WAYPOINTS[leg] + (WAYPOINTS[leg + 1] - WAYPOINTS[leg]) * smooth

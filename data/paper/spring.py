@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from data.paper.part import (
+    LEVELS,
     PAPER,
     Curve,
     Effort,
@@ -18,7 +19,7 @@ from data.paper.part import (
     Plot,
     ProgressCallback,
     Vector,
-    apart,
+    worst_relative,
 )
 from data.paper.scenes import press
 from tests.validation.clamped import shipped
@@ -26,6 +27,15 @@ from tests.validation.finding import Finding
 from tests.validation.spring import PRINTED_14, Rod, rod_of
 from wrenchbook.fea.solve import Solver
 from wrenchbook.service.client import Client
+
+# N/mm: the paper's stiffness by finite elements with its spread, and by its whole loop.
+BAND, BAND_WIDTH, PAPER_LOOP = 0.582, 0.001, 0.585
+FORMULA_13 = 0.59  # N/mm, as the paper rounds it
+SMALL_LOAD = 2.0  # N: the range of the band; a spring softens as it is pressed
+LOOP = 1e-6  # of the third level against the second
+ROD_FORCE, ROD_ROTATION = 5e-3, 1e-2  # of the solver against rod theory, as of `make validate`
+SMALL_SHORTENING = 1e-7  # m: rod theory is linear up to it
+SOLVE_S = 300.0
 
 
 @dataclass(frozen=True)
@@ -63,20 +73,6 @@ def line_through(x: ArrayLike, y: ArrayLike) -> Line:
     return Line(slope, intercept, float(np.sqrt(scatter / spread)), len(across))
 
 
-# N/mm: what the paper found by finite elements, with its spread; its whole loop: 0.585 ± 0.003.
-BAND, BAND_WIDTH, PAPER_LOOP = 0.582, 0.001, 0.585
-FORMULA_13 = 0.59  # N/mm, as the paper rounds it
-SMALL_LOAD = 2.0  # N: the range of the band; a spring softens as it is pressed
-LOOP = 1e-6  # of the third level against the second
-ROD_FORCE, ROD_ROTATION = (
-    5e-3,
-    1e-2,
-)  # of the solver against rod theory, as `make validate` holds it
-SOLVE_S = 300.0
-
-_LEVELS: tuple[str, ...] = ("closed form", "finite elements", "MuJoCo and service")
-
-
 def spring(client: Client, effort: Effort, report: ProgressCallback) -> PaperPart:
     """Press the spring on three levels, and compare stiffness and turn."""
     part = PaperPart(
@@ -98,7 +94,7 @@ def spring(client: Client, effort: Effort, report: ProgressCallback) -> PaperPar
         report(0.3 + 0.7 * number / len(loads), f"spring, {loads[number]:.1f} N by finite elements")
         solved[number] = _pressed(solver.solve(wrench).displacement[None])[0]
     closed = np.array([_rod_under(rod, load) for load in loads])
-    levels = dict(zip(_LEVELS, (closed, solved, looped), strict=True))
+    levels = dict(zip(LEVELS, (closed, solved, looped), strict=True))
     stopped = press(client, "spring", effort.spring_rows, mode="solve")  # its rows are there
     fits = {name: _fits(loads, moved[:, 0]) for name, moved in levels.items()}
     tangent = 1e-3 / float(solver.compliance[2, 2])
@@ -110,7 +106,7 @@ def spring(client: Client, effort: Effort, report: ProgressCallback) -> PaperPar
         "load_N": loads.tolist(),
         "row": rows.tolist(),
         "covered": run.covered.tolist(),
-        "answers_not_covered": sum(run.coverage[1:]),
+        "answers_not_covered": run.not_covered,
         "tangent_k_N_per_mm": {"closed form": 1e-3 * _tangent(rod), "finite elements": tangent},
         "levels": _level_numbers(levels, fits),
     }
@@ -131,7 +127,7 @@ def _level_numbers(levels: dict[str, Vector], fits: dict[str, dict[str, Line]]) 
 
 
 def _record(client: Client, effort: Effort) -> None:
-    """Run the loop on the rigid spring (LM_direct), and have what it met solved (LM_start)."""
+    """Record the wrenches of a loop on the rigid spring (LM_direct); solve them (LM_start)."""
     press(client, "spring", effort.spring_rows, mode="record")
     for job in client.start_recording("spring").jobs:
         client.wait(job, SOLVE_S)
@@ -155,7 +151,7 @@ def _rod_under(rod: Rod, load: float) -> tuple[float, float]:
 
 def _tangent(rod: Rod) -> float:
     """Return rod theory's stiffness at no load, N/m."""
-    return rod.pressed(1e-7)[0] / 1e-7
+    return rod.pressed(SMALL_SHORTENING)[0] / SMALL_SHORTENING
 
 
 def _fits(loads: Vector, shortening: Vector) -> dict[str, Line]:
@@ -171,18 +167,11 @@ def _stiffness(rod: Rod, fits: dict[str, dict[str, Line]], tangent: float) -> li
     """Compare each level's stiffness, N/mm, with the paper's."""
     formula = rod.young / (2 * (1 + rod.poisson)) * rod.wire**4 / (8 * rod.turns * rod.mean**3)
     band = f"{PAPER}: {BAND} ± {BAND_WIDTH} by finite elements"
+    by_formula, unloaded = "spring: k by formula 13, N/mm", "spring: k of a solve at no load, N/mm"
     findings = [
-        Finding(
-            "spring: k by formula 13, N/mm", PAPER, FORMULA_13, 1e-3 * formula, 5e-3, "absolute"
-        ),
-        Finding(
-            "spring: k of a solve at no load, N/mm",
-            "rod theory",
-            1e-3 * _tangent(rod),
-            tangent,
-            ROD_FORCE,
-        ),
-        Finding("spring: k of a solve at no load, N/mm", band, BAND, tangent, None, "absolute"),
+        Finding(by_formula, PAPER, FORMULA_13, 1e-3 * formula, 5e-3, "absolute"),
+        Finding(unloaded, "rod theory", 1e-3 * _tangent(rod), tangent, ROD_FORCE),
+        Finding(unloaded, band, BAND, tangent, None, "absolute"),
     ]
     for level, spans in fits.items():
         for span, line in spans.items():
@@ -190,11 +179,11 @@ def _stiffness(rod: Rod, fits: dict[str, dict[str, Line]], tangent: float) -> li
             is_band = level != "closed form" and span != "0 to 10 N"
             width = BAND_WIDTH if is_band else None
             findings.append(Finding(quantity, band, BAND, line.slope, width, "absolute"))
-    for span, line in fits[_LEVELS[2]].items():
+    for span, line in fits[LEVELS[2]].items():
         quantity = f"spring: k, MuJoCo and service over finite elements, {span}"
-        off = line.slope / fits[_LEVELS[1]][span].slope
-        findings.append(Finding(quantity, _LEVELS[1], 1.0, off, LOOP))
-    loop = fits[_LEVELS[2]]["0 to 10 N"]
+        ratio = line.slope / fits[LEVELS[1]][span].slope
+        findings.append(Finding(quantity, LEVELS[1], 1.0, ratio, LOOP))
+    loop = fits[LEVELS[2]]["0 to 10 N"]
     source = f"{PAPER}: 0.585 ± 0.003, whole loop"
     findings.append(
         Finding("spring: k, MuJoCo and service, 0 to 10 N, N/mm", source, PAPER_LOOP, loop.slope)
@@ -214,24 +203,24 @@ def _between(levels: dict[str, Vector], covered: Mask) -> list[Finding]:
     for region, chosen in (("where covered", covered), ("where not covered", ~covered)):
         if not solved[chosen].any():
             continue
-        shortening = apart(looped[chosen, 0], solved[chosen, 0])
+        shortening = worst_relative(looped[chosen, 0], solved[chosen, 0])
         rotation = float(np.abs(looped[chosen, 1] - solved[chosen, 1]).max() / solved[:, 1].max())
-        relative = apart(looped[chosen, 1], solved[chosen, 1])
-        for quantity, off, most in (
+        relative = worst_relative(looped[chosen, 1], solved[chosen, 1])
+        for quantity, error, limit in (
             ("shortening, worst relative", shortening, LOOP),
             ("turn, worst over the largest turn", rotation, LOOP if chosen is covered else None),
             ("turn, worst relative", relative, None),
         ):
             name = f"spring: {quantity}, MuJoCo and service {region}"
-            findings.append(Finding(name, _LEVELS[1], 0.0, off, most, "absolute"))
+            findings.append(Finding(name, LEVELS[1], 0.0, error, limit, "absolute"))
     return findings
 
 
 def _direct(stopped: Vector, solved: Vector) -> Finding:
     """Compare the loop that stops for a solve with the second level, (n, 2), mm and degrees."""
-    off = max(apart(stopped[:, column], solved[:, column]) for column in (0, 1))
+    error = max(worst_relative(stopped[:, column], solved[:, column]) for column in (0, 1))
     name = "spring: shortening and turn, the loop by DirectFEA, worst relative"
-    return Finding(name, _LEVELS[1], 0.0, off, LOOP, "absolute")
+    return Finding(name, LEVELS[1], 0.0, error, LOOP, "absolute")
 
 
 def _rotation_findings(loads: Vector, levels: dict[str, Vector]) -> list[Finding]:
@@ -239,17 +228,11 @@ def _rotation_findings(loads: Vector, levels: dict[str, Vector]) -> list[Finding
     closed, solved, _ = levels.values()
     printed = float(np.interp(PRINTED_14[0][-1], *PRINTED_14))
     by_rod = float(np.interp(PRINTED_14[0][-1], closed[:, 0], closed[:, 1]))
+    largest = f"spring: turn at {loads[-1]:.3g} N, degrees"
+    as_printed = "spring: turn at 17 mm by formula 14 as printed, degrees"
     return [
-        Finding(
-            f"spring: turn at {loads[-1]:.3g} N, degrees",
-            "rod theory",
-            closed[-1, 1],
-            solved[-1, 1],
-            ROD_ROTATION,
-        ),
-        Finding(
-            "spring: turn at 17 mm by formula 14 as printed, degrees", "rod theory", by_rod, printed
-        ),
+        Finding(largest, "rod theory", closed[-1, 1], solved[-1, 1], ROD_ROTATION),
+        Finding(as_printed, "rod theory", by_rod, printed),
     ]
 
 
@@ -257,30 +240,26 @@ def _plots(
     loads: Vector, levels: dict[str, Vector], fits: dict[str, dict[str, Line]]
 ) -> list[Plot]:
     """Draw figures 8, 11 and 12: loads have shape (n,), N, levels (n, 2), mm and degrees."""
-    styles = dict(zip(_LEVELS, ("line", "points", "crosses"), strict=True))
+    styles = dict(zip(LEVELS, ("line", "points", "crosses"), strict=True))
     force = {
         name: Curve.of(name, moved[:, 0], loads, styles[name]) for name, moved in levels.items()
     }
-    line = fits[_LEVELS[2]]["0 to 10 N"]
-    ends = np.array([0.0, levels[_LEVELS[2]][-1, 0]])
+    line = fits[LEVELS[2]]["0 to 10 N"]
+    ends = np.array([0.0, levels[LEVELS[2]][-1, 0]])
     label = f"k = {line.slope:.4f} ± {line.error:.1g} N/mm"
     fitted = Curve.of(label, ends, line.slope * ends + line.intercept, "dash")
     turns = [Curve.of(name, loads, moved[:, 1], styles[name]) for name, moved in levels.items()]
-    shown = levels[_LEVELS[0]]
+    shown = levels[LEVELS[0]]
     forces_14 = np.interp(PRINTED_14[0], shown[:, 0], loads)
     printed = Curve.of("formula 14 as printed", forces_14, PRINTED_14[1], "dash")
+    by_rod, by_solver, in_loop = force.values()
+    titles = (
+        "Figure 8: force against shortening, solver and rod theory",
+        "Figure 11: force against shortening in the whole loop, with its line",
+        "Figure 12: turn against force",
+    )
     return [
-        Plot(
-            "Figure 8: force against shortening, solver and rod theory",
-            "shortening, mm",
-            "force, N",
-            (force[_LEVELS[0]], force[_LEVELS[1]]),
-        ),
-        Plot(
-            "Figure 11: force against shortening in the whole loop, with its line",
-            "shortening, mm",
-            "force, N",
-            (force[_LEVELS[1]], force[_LEVELS[2]], fitted),
-        ),
-        Plot("Figure 12: turn against force", "force, N", "turn, degrees", (*turns, printed)),
+        Plot(titles[0], "shortening, mm", "force, N", (by_rod, by_solver)),
+        Plot(titles[1], "shortening, mm", "force, N", (by_solver, in_loop, fitted)),
+        Plot(titles[2], "force, N", "turn, degrees", (*turns, printed)),
     ]

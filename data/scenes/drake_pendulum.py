@@ -12,17 +12,11 @@ import os
 from typing import Any
 
 import numpy as np
-import pydrake.math as _math
-import pydrake.multibody.plant as _plant
-import pydrake.multibody.tree as _tree
-import pydrake.systems.analysis as _analysis
+import pydrake.all as _drake
 
 from wrenchbook import Client, Mount, conventions
 
-math: Any = _math  # compiled: they tell no types
-plants: Any = _plant
-tree: Any = _tree
-analysis: Any = _analysis
+drake: Any = _drake  # compiled: it has no types
 P0 = np.array([0.0, 0.0, 1.0])  # m: the undeformed interface
 
 
@@ -35,7 +29,7 @@ class DrakeMount:
 
     def read(self) -> np.ndarray:
         """Return the wrench on the component, shape (6,), N and N·m, for `Mount.step`."""
-        # Listed by joint; none has been removed, so the weld's index is its place.
+        # Listed by joint; none has been removed, so the weld's index is that of its reaction.
         reactions = self._plant.get_reaction_forces_output_port().Eval(self._context)
         # On the child, at its frame, in its axes, torque first.
         on_component = conventions.from_drake(
@@ -46,28 +40,28 @@ class DrakeMount:
         return self.mount.wrench_of(turned[:3], turned[3:], pose.translation())
 
     def step(self) -> np.ndarray:
-        """Read, ask and set the new pose at a sync; return the wrench."""
+        """Read the weld's reaction, set the new pose at a sync, and return the wrench."""
         wrench = self.read()
         R, p = self.mount.step(wrench)
-        moved = math.RigidTransform(math.RotationMatrix.ProjectToRotationMatrix(R), p)
+        moved = drake.RigidTransform(drake.RotationMatrix.ProjectToRotationMatrix(R), p)
         self._frame.SetPoseInParentFrame(self._context, moved)
         return wrench
 
 
 def scene(mount: Mount, angle: float = 0.5) -> tuple[DrakeMount, Any, Any]:
     """Make the pendulum, hanging at an angle, rad; return its mount, the plant and its context."""
-    plant = plants.MultibodyPlant(time_step=0.0)
+    plant = drake.MultibodyPlant(time_step=0.0)
     R0, p0 = mount.undeformed
-    at = math.RigidTransform(math.RotationMatrix(R0), p0)
-    frame = plant.AddFrame(tree.FixedOffsetFrame("interface", plant.world_frame(), at))
+    at = drake.RigidTransform(drake.RotationMatrix(R0), p0)
+    frame = plant.AddFrame(drake.FixedOffsetFrame("interface", plant.world_frame(), at))
     block = plant.AddRigidBody("mounted", _inertia(0.5, [0.01, 0, 0.02], [1e-3, 1e-3, 1e-3]))
     rod = plant.AddRigidBody("rod", _inertia(2.0, [0, 0, -0.3], [0.02, 0.02, 1e-3]))
     weld = plant.WeldFrames(frame, block.body_frame())
-    place = math.RigidTransform(np.array([0.02, -0.03, 0.1]))
+    hinge_pose = drake.RigidTransform(np.array([0.02, -0.03, 0.1]))
     hinge = plant.AddJoint(
-        tree.RevoluteJoint(
+        drake.RevoluteJoint(
             "hinge",
-            plant.AddFrame(tree.FixedOffsetFrame("hinge_at", block.body_frame(), place)),
+            plant.AddFrame(drake.FixedOffsetFrame("hinge_at", block.body_frame(), hinge_pose)),
             rod.body_frame(),
             np.array([0.0, 1.0, 0.0]),
         )
@@ -80,8 +74,8 @@ def scene(mount: Mount, angle: float = 0.5) -> tuple[DrakeMount, Any, Any]:
 
 def _inertia(mass: float, centre: list[float], moments: list[float]) -> Any:
     """Return a body's inertia, from its mass, kg, centre, m, and moments about that, kg m^2."""
-    return tree.SpatialInertia.MakeFromCentralInertia(
-        mass, np.array(centre), tree.RotationalInertia(*moments)
+    return drake.SpatialInertia.MakeFromCentralInertia(
+        mass, np.array(centre), drake.RotationalInertia(*moments)
     )
 
 
@@ -91,12 +85,12 @@ def main(server: str, seconds: float) -> None:
         client.displacement("bar", [0, 0, -20.0], on_thin="wait", wait_s=100)  # its one solve
         client.component("bar", wait_s=60)  # which waits for the row to be in use
         mount = Mount(client.download("bar"), "bar", np.eye(3), P0)
-    on, plant, context = scene(mount)
-    simulator = analysis.Simulator(plant, context)
-    wrench = on.step()
+    pendulum, plant, context = scene(mount)
+    simulator = drake.Simulator(plant, context)
+    wrench = pendulum.step()
     for sync in range(1, round(seconds / 0.005) + 1):
         simulator.AdvanceTo(0.005 * sync)
-        wrench = on.step()
+        wrench = pendulum.step()
     print(f"wrench at the end: {wrench.round(2).tolist()} N and N·m")
     print(f"translation: {(1e3 * mount.displacement[:3]).round(3).tolist()} mm")
     print(mount.coverage)
@@ -107,5 +101,4 @@ if __name__ == "__main__":
     server = os.environ.get("WRENCHBOOK_SERVER", "http://127.0.0.1:8000")
     parser.add_argument("--server", default=server)
     parser.add_argument("--seconds", type=float, default=1.0)
-    options = parser.parse_args()
-    main(options.server, options.seconds)
+    main(**vars(parser.parse_args()))

@@ -25,8 +25,8 @@ STIFFNESS, DAMPING = 2e4, 600.0  # of a leg, N/m and N·s/m
 def wrenches(push: Any, feet: Any) -> Any:
     """Return the wrenches (k, 6), N and N·m, of legs that push (k,), N, down at feet (k, 2), m."""
     x, y = feet.T
-    none = jnp.zeros_like(push)
-    return jnp.stack((none, none, -push, -y * push, x * push, none), axis=1)
+    zeros = jnp.zeros_like(push)
+    return jnp.stack((zeros, zeros, -push, -y * push, x * push, zeros), axis=1)
 
 
 def heights(moved: Any, feet: Any) -> Any:
@@ -55,9 +55,9 @@ def drop(answers: Any, masses: Any, feet: Any, steps: int) -> tuple[Any, Any]:
         moved = answers.displacement(wrenches(push, feet))
         return (z + STEP * speed, speed, push, moved), None
 
-    none = jnp.zeros_like(masses)
+    zeros = jnp.zeros_like(masses)
     flat = jnp.zeros((len(masses), 6), masses.dtype)
-    start = (none + 0.005, none, none, flat)
+    start = (zeros + 0.005, zeros, zeros, flat)
     (_, _, push, moved), _ = jax.lax.scan(step, start, length=steps)
     return push, moved
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from wrenchbook import Client, MujocoMount
 
-mujoco: Any = _mujoco  # compiled: it tells no types
+mujoco: Any = _mujoco  # compiled: it has no types
 START = np.array([0.0, 0.4, 0.8, 0.0, 0.5, 0.0])  # rad
 END = np.array([0.6, 0.7, 0.5, 0.4, 0.1, 0.5])
 
@@ -50,5 +50,4 @@ if __name__ == "__main__":
     server = os.environ.get("WRENCHBOOK_SERVER", "http://127.0.0.1:8000")
     parser.add_argument("--server", default=server)
     parser.add_argument("--seconds", type=float, default=2.0)
-    options = parser.parse_args()
-    main(options.server, options.seconds)
+    main(**vars(parser.parse_args()))

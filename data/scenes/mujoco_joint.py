@@ -74,5 +74,4 @@ if __name__ == "__main__":
     server = os.environ.get("WRENCHBOOK_SERVER", "http://127.0.0.1:8000")
     parser.add_argument("--server", default=server)
     parser.add_argument("--seconds", type=float, default=2.0)
-    options = parser.parse_args()
-    main(options.server, options.seconds)
+    main(**vars(parser.parse_args()))

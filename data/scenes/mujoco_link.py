@@ -16,7 +16,7 @@ import numpy as np
 
 from wrenchbook import Client, conventions
 
-mujoco: Any = _mujoco  # compiled: it tells no types
+mujoco: Any = _mujoco  # compiled: it has no types
 MODEL = """
 <mujoco>
   <option timestep="0.001" integrator="implicitfast"/>
@@ -88,5 +88,4 @@ if __name__ == "__main__":
     server = os.environ.get("WRENCHBOOK_SERVER", "http://127.0.0.1:8000")
     parser.add_argument("--server", default=server)
     parser.add_argument("--seconds", type=float, default=1.0)
-    options = parser.parse_args()
-    main(options.server, options.seconds)
+    main(**vars(parser.parse_args()))

@@ -55,8 +55,8 @@ class NumbersCommand(TyperCommand):
             if option.nargs < 2:
                 continue
             for name in set(option.opts) & set(args):
-                place = args.index(name) + 1
-                for count, text in enumerate(args[place : place + option.nargs]):
+                first = args.index(name) + 1
+                for count, text in enumerate(args[first : first + option.nargs]):
                     if "," in text:
                         ctx.fail(f"{name} {text}: write {option.nargs} numbers separated by blanks")
                     if text.startswith("--"):
@@ -95,9 +95,7 @@ Name = Annotated[str, typer.Argument(help="name of the component", autocompletio
 Server = Annotated[
     str,
     typer.Option(
-        envvar="WRENCHBOOK_SERVER",
-        help="address of a running server",
-        callback=_refuse_both,
+        envvar="WRENCHBOOK_SERVER", help="address of a running server", callback=_refuse_both
     ),
 ]
 Data = Annotated[
@@ -148,18 +146,18 @@ def further_inputs(options: list[str] | None) -> dict[str, float] | None:
 
 
 def by_name(option: str, form: str, values: list[str] | None) -> list[tuple[str, str]]:
-    """Return the name and the rest of each value of an option, of a form such as NAME=NUMBER.
+    """Return the two sides of each value of an option, of a form such as NAME=NUMBER.
 
     Raises InvalidArgument if a value has no name or no ``=``, or a name is repeated.
     """
     pairs: dict[str, str] = {}
     for text in values or ():
-        name, equals, rest = text.partition("=")
+        name, equals, value = text.partition("=")
         if not (name and equals):
             raise InvalidArgument(f"{option} {text!r} must have the form {option} {form}")
         if name in pairs:
             raise InvalidArgument(f"{option} {name} is given twice; keep one")
-        pairs[name] = rest
+        pairs[name] = value
     return list(pairs.items())
 
 

@@ -26,7 +26,7 @@ from wrenchbook.service.cli.connect import (
 )
 from wrenchbook.service.cli.render import matrix_table, print_json, show, stiffness_lines
 from wrenchbook.service.client.joint import LinearPart
-from wrenchbook.service.client.joint.joint import FREEDOMS
+from wrenchbook.service.client.joint.joint import DAMPING, FREEDOMS
 
 _Force = Annotated[
     Three, typer.Option(help="force about which the part is linear, N", metavar="FX FY FZ")
@@ -34,7 +34,6 @@ _Force = Annotated[
 _Moment = Annotated[
     Three, typer.Option(help="moment about which the part is linear, N·m", metavar="MX MY MZ")
 ]
-DAMPING = 0.02  # the default of `MujocoJoint`
 
 
 def joint(
@@ -79,11 +78,11 @@ def joint(
     with connected(server, data) as client:
         facts = client.component(name)
         table = client.download(name) if linear else None
-    moving, mass = _moving(name, facts, interface)
+    body, mass = _tip_interface(name, facts, interface)
     if massless:
         mass = None
     if table is None:
-        locked = moving.get("locked", ())
+        locked = body.get("locked", ())
         text = scene_with_joint(scene, base, tip, locked=locked, site=site, mass=mass)
     else:
         springs = LinearPart.of(table, (*force, *moment), further_inputs(further))
@@ -94,6 +93,7 @@ def joint(
 
     if out is not None:
         out.write_text(text, encoding="utf-8")
+        # MJCF names meshes and textures by file=, relative to the scene's own folder.
         if ' file="' in text and out.resolve().parent != scene.resolve().parent:
             sys.stderr.write(f"{out} has file names relative to {scene.parent}; move it there\n")
     if as_json:
@@ -103,7 +103,7 @@ def joint(
 
 
 def _mass_note(name: str, facts: dict[str, Any], mass: list[list[float]] | None, tip: str) -> str:
-    """Return a text on the mass that moves with the tip; `mass` is the result of `_moving`."""
+    """Return a text on the mass (6, 6), kg to kg·m^2, that moves with the tip; None: unknown."""
     if mass is None:
         return f"{name} has no known mass, so {tip!r} has none of it; give its materials a density"
     total = facts["vibration"]["mass"]
@@ -114,17 +114,18 @@ def _mass_note(name: str, facts: dict[str, Any], mass: list[list[float]] | None,
     )
 
 
-def _moving(
+def _tip_interface(
     name: str, facts: dict[str, Any], interface: str | None = None
 ) -> tuple[dict[str, Any], list[list[float]] | None]:
-    """Return the body of an interface that moves, and the mass condensed to it.
+    """Return the facts of the interface at the tip, which moves, and the mass condensed to it.
 
     The mass has shape (6, 6), kg to kg·m^2; None if it is unknown. A single interface has no name.
+    At least one moves, since a bundle without any is refused.
 
     Raises BadParameter if the interface does not move, or several do and none is named.
     """
     interfaces = facts.get("interfaces") or {"": facts.get("interface") or {}}
-    moving = [end for end, body in interfaces.items() if not body.get("held")]
+    moving = [key for key, body in interfaces.items() if not body.get("held")]
     if interface is not None and moving == [""]:
         raise typer.BadParameter(
             f"{name} has a single interface, which has no name; leave --interface {interface} out"
@@ -167,7 +168,7 @@ def stiffness(
 ) -> None:
     """Show a component's 6x6 stiffness about a load, its mass, and its error of linearity.
 
-    With --between: that of its measured rows.
+    With --between: the slope of one load over one output in its measured rows.
     """
     if between is None:
         refuse_alone("--between LOW HIGH", {"--axis": axis, "--of": of, "--import": number})
@@ -180,7 +181,7 @@ def stiffness(
             facts = client.component(name)
             wrench = (*force, *moment)
             part = LinearPart.of(client.download(name), wrench, further_inputs(further))
-            body = part.to_dict(_moving(name, facts)[1])
+            body = part.to_dict(_tip_interface(name, facts)[1])
             freedoms = part.freedoms
             shown = [
                 matrix_table(

@@ -243,7 +243,7 @@ def restore(
     as_json: AsJson = False,
 ) -> None:
     """Make a data directory from a backup or a replica."""
-    from wrenchbook.service.ops.restore import restore as restored
+    from wrenchbook.service.ops.restore import restore as restore_files
 
     source = file if "://" in file else Path(file)
     mistake = ""
@@ -258,7 +258,7 @@ def restore(
         raise typer.BadParameter(mistake)
 
     until = at.replace(tzinfo=UTC).timestamp() if at else float("inf")
-    manifest, former = restored(source, data, overwrite=overwrite, until=until)
+    manifest, former = restore_files(source, data, overwrite=overwrite, until=until)
     has_keys = (data / KEYS).exists()
     texts = _restored_texts(data, manifest, former, has_keys=has_keys)
     reply = {"data": data, "files": len(manifest.files), "former": former, **manifest.state}
@@ -386,8 +386,8 @@ def list_(as_json: AsJson = False, data: Folder = DEFAULT_DATA) -> None:
     table = Table("name", "scope", "components", *dates, "a second", "MiB")
     for key in listed:
         times = [key[field] for field in dates.values()]
-        at = [seconds and time.strftime("%Y-%m-%d", time.gmtime(seconds)) for seconds in times]
-        fields = key["name"], key["scope"], ", ".join(key["components"]), *at
+        days = [seconds and time.strftime("%Y-%m-%d", time.gmtime(seconds)) for seconds in times]
+        fields = key["name"], key["scope"], ", ".join(key["components"]), *days
         table.add_row(*fields, f"{key['rate']:g}", str(key["megabytes"]))
     show(listed, as_json, lambda: [table])
 

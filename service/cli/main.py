@@ -36,13 +36,7 @@ from wrenchbook.service.cli.local import LOCAL_COMMANDS, PROGRAMS, keys, run_pro
 from wrenchbook.service.cli.recording import RECORDING_COMMANDS
 from wrenchbook.service.cli.render import Screen, plain, print_answer, print_json, show
 from wrenchbook.service.cli.tables import TABLE_COMMANDS
-from wrenchbook.service.client import (
-    Client,
-    Displacement,
-    ProblemError,
-    Scene,
-    ServerUnreachable,
-)
+from wrenchbook.service.client import Client, Displacement, ProblemError, Scene, ServerUnreachable
 from wrenchbook.service.client.client import deformed_format
 from wrenchbook.service.client.errors import InvalidArgument, mistake_line
 from wrenchbook.service.contract import OnThin

@@ -14,9 +14,10 @@ from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn, TimeE
 
 from wrenchbook.service.cli.render import Screen, job_state, plain
 from wrenchbook.service.client import Client, Job, ProblemError, ServerTimeout, ServerUnreachable
+from wrenchbook.service.client.job import ROUND
 from wrenchbook.service.contract import counted
 
-POLL_S = 0.2
+POLL_S = 0.2  # s between updates: a bar that moves five times a second looks continuous
 BUILD_S = 25.0  # s that the last rows of a fill are waited for
 INTERRUPTED = 130  # exit status of shells after Ctrl-C: 128 + SIGINT
 
@@ -143,7 +144,7 @@ def fill(
     name: str,
     budget: int,
     options: dict[str, Any],
-    round_size: int = 24,
+    round_size: int = ROUND,
 ) -> dict[str, Any]:
     """Fill a table round by round, with a bar each; `options` are those of `Client.fill`.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated
 
 import typer
@@ -16,6 +17,7 @@ from wrenchbook.service.cli.connect import (
     Name,
     Server,
     connected,
+    refuse_alone,
 )
 from wrenchbook.service.cli.render import Screen, cell, show
 from wrenchbook.service.client import Client, Started
@@ -37,7 +39,7 @@ def recording(
     data: Data = None,
 ) -> None:
     """Show, solve or delete the wrenches that simulators have recorded (LM_direct)."""
-    _check(start, clear)
+    _check(start, clear, {"--budget": budget, "--beyond-range": beyond_range})
     with connected(server, data) as client:
         if clear:
             count = client.clear_recording(name)
@@ -65,7 +67,7 @@ def envelope(
     data: Data = None,
 ) -> None:
     """Show, solve or delete the extreme wrenches that simulators have recorded (LM_max)."""
-    _check(start, clear)
+    _check(start, clear, {"--beyond-range": beyond_range})
     with connected(server, data) as client:
         if clear:
             count = client.clear_envelope(name)
@@ -106,9 +108,12 @@ def resolve(
         _follow(client, client.resolve(name, budget, beyond_range=beyond_range), as_json)
 
 
-def _check(start: bool, clear: bool) -> None:
+def _check(start: bool, clear: bool, of_start: Mapping[str, object]) -> None:
+    """Refuse --start beside --clear, and the options by name `of_start` without it."""
     if start and clear:
         raise typer.BadParameter("--start and --clear exclude each other; give one of them")
+    if not start:
+        refuse_alone("--start", of_start)
 
 
 def _follow(client: Client, started: Started, as_json: bool) -> None:

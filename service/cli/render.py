@@ -115,9 +115,9 @@ def answer_shown(
     table = Table()
     for heading in ("", "value", "error bar", "unit"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
-    for place, (name, unit) in enumerate(UNITS.items()):
+    for k, (name, unit) in enumerate(UNITS.items()):
         numbers = (
-            "unknown" if values is None or math.isnan(values[place]) else f"{values[place]:.6e}"
+            "unknown" if values is None or math.isnan(values[k]) else f"{values[k]:.6e}"
             for values in (answer.vector, answer.error_vector)
         )
         table.add_row(name, *numbers, unit)
@@ -127,10 +127,7 @@ def answer_shown(
 
 
 def print_answer(
-    answer: Displacement,
-    as_json: bool,
-    data: Path | None,
-    tolerance: Mapping[str, float] | None,
+    answer: Displacement, as_json: bool, data: Path | None, tolerance: Mapping[str, float] | None
 ) -> None:
     """Print an answer, at each interface, and the state of its open job.
 
@@ -139,7 +136,7 @@ def print_answer(
     """
     interfaces = answer.interfaces or {"": answer}
     shown: list[RenderableType] = [
-        answer_shown(at, name, tolerance) for name, at in interfaces.items()
+        answer_shown(part, name, tolerance) for name, part in interfaces.items()
     ]
     if answer.job is not None and not answer.job.ended:
         value = "No estimate yet" if answer.vector is None else "The values are an estimate"

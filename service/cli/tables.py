@@ -29,7 +29,7 @@ from wrenchbook.service.contract import counted
 from wrenchbook.service.files.durable import write_atomically
 
 COMPILED = (".fmu", ".zip")  # made by this command from a packed table, not by the server
-WAIT_S = 10.0  # s, the server's default
+WAIT_S = 10.0  # s, the default of service.http.imports, which would load FastAPI
 MAX_ROWS_SHOWN = 10  # rows of a finding: a line of a terminal
 _RIG_METHODS = {"list": "GET", "show": "GET", "add": "PUT", "remove": "DELETE"}
 _UNNAMED_RIG = re.compile("[0-9a-f]{8}")  # the server's name for a rig that has none: its digest
@@ -185,8 +185,10 @@ def import_table(
     if as_json:
         print_json(reply)
     else:
-        if displacements is None:
-            _print_format(file, reply["format"])
+        form = reply["format"]
+        if displacements is None and form in ("csv", "json") and file.suffix.lower() in _BINARY:
+            content = f"{file.name} was read as {form.upper()}: its content is text"
+            plain(Screen(), f"{content}, whatever its ending.")
         _print_import(name, reply)
     raise typer.Exit(1 if reply["errors"] and not partial else 0)
 
@@ -288,7 +290,7 @@ def export_table(
         )
     targets = ()
     if platforms is not None:  # checked before a server is called or started
-        from wrenchbook.service.fmu.export import platforms_of
+        from wrenchbook.service.fmu.platforms import platforms_of
 
         targets = platforms_of(platforms)
 
@@ -347,6 +349,7 @@ def withdraw(
             reply = client.withdraw_import(name, number, finding, restore=restore)
         show(reply, as_json, f"{counted(reply['rows'], 'row')} {reply['status']}.")
         return
+    refuse_alone("IMPORT", {"--finding": finding, "--restore": restore})
     with connected(server, data) as client:
         warnings = client.component(name)["warnings"]
     findings = [warning for warning in warnings if "import" in warning]
@@ -434,13 +437,6 @@ def _print_finding(name: str, finding: dict[str, Any], number: int | None) -> No
         command = f"wrenchbook withdraw {name} {number} --finding {finding['cause']}"
         rows = counted(finding["count"], "row") if finding["count"] else "all rows"
         plain(Screen(), f"  to withdraw {rows} of this import: {command}")
-
-
-def _print_format(file: Path, form: str) -> None:
-    """Print that a file with the ending of a workbook, or of another binary format, is text."""
-    if form in ("csv", "json") and file.suffix.lower() in _BINARY:
-        text = f"{file.name} was read as {form.upper()}: its content is text, whatever its ending."
-        plain(Screen(), text)
 
 
 def _print_import(name: str, reply: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Tables on arrays of JAX and PyTorch, for many environments at once.
+"""Tables on arrays of JAX and PyTorch, and joints on arrays of JAX, for many environments.
 
 The kernel answers on the host, for arrays of any device, with the numbers of `Table.batch`.
 """
@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ..contract import COVERAGE
+from wrenchbook.surrogate.answer import OUTSIDE
+
 from .errors import InvalidArgument, required
-from .joint.joint import Joint, shape_of
+from .joint.joint import DAMPING, Joint, shape_of
 from .joint.joints import status_of
 from .table import Table
 from .wrenches import Tolerance, floats_of
@@ -26,7 +27,9 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Array: TypeAlias = Any  # an array of JAX or PyTorch, neither of which need be installed
 Shapes = list[tuple[tuple[int, ...], Array]]  # shape and type of each result
-OUTSIDE = COVERAGE.index("outside")
+# Fields of a joint's reply and buffers of its inputs, in the order of `JointAnswers` and of a step.
+_REPLIES = "wrench", "displacement", "wrench_error", "force", "rate", "coverage"
+_BUFFERS = "memory", "poses", "velocities", "inverse_masses"
 
 
 class Answers(NamedTuple):
@@ -61,8 +64,8 @@ class Host:
         moved, error, coverage = self.packed.batch(rows, *self.options, self.threads)
         moved[not_finite] = error[not_finite] = np.nan
         coverage[not_finite] = OUTSIDE
-        moved, error = moved.reshape(*shape, -1), error.reshape(*shape, -1)
-        return moved, error, coverage.astype(np.int32).reshape(shape)
+        block = (*shape, self.packed.outputs)  # not -1, which an empty batch leaves open
+        return moved.reshape(block), error.reshape(block), coverage.astype(np.int32).reshape(shape)
 
     def slopes(self, wrenches: Array) -> Floats:
         """Return du/dw (..., m, n), SI."""
@@ -72,7 +75,7 @@ class Host:
         return slopes.reshape(*shape, *slopes.shape[1:])
 
     def inverse(self, moved: Array, start: Array) -> tuple[Floats, Floats]:
-        """Return wrenches (..., n), SI, and the stiffness there (..., n, m); NaN without one."""
+        """Return wrenches (..., n), SI, and stiffness (..., n, m), row by row; NaN without one."""
         shape = moved.shape[:-1]
         n, m = self.packed.inputs, self.packed.outputs
         targets = np.asarray(moved, dtype=float).reshape(-1, m)
@@ -97,17 +100,17 @@ class Host:
 
 
 class Framework(NamedTuple):
-    """The functions on arrays of JAX or PyTorch, which it differentiates and vectorises."""
+    """Functions on arrays of JAX or PyTorch, which the package differentiates and vectorises."""
 
     xp: ModuleType
-    array: Callable[[Array], Array]  # values as an array of the framework, float32 or float64
+    array: Callable[[Array], Array]  # values as an array of the package, float32 or float64
     answers: Callable[[Array], tuple[Array, Array, Array]]  # see `Host.answers`
     slopes: Callable[[Array], Array]  # see `Host.slopes`
     inverse: Callable[[Array, Array], Array]  # the wrenches of `Host.inverse`
 
 
 class Evaluator:
-    """A function of wrenches (..., n), SI, in the order of ``table.space.inputs``.
+    """A table's function of wrenches (..., n), SI, in the order of ``table.space.inputs``.
 
     `jax` and `torch` make one, with the table's version at that time. Results have the wrenches'
     type; the kernel computes in float64. Wrenches that are not finite are outside, with NaN.
@@ -151,7 +154,7 @@ class Evaluator:
         return self._framework.inverse(broadcast(moved, (*lead, m)), broadcast(begin, (*lead, n)))
 
     def _checked(self, values: Array, count: int, name: str = "wrenches") -> Array:
-        """Return the framework's array of some values, whose last dimension must be `count`."""
+        """Return the package's array of values, whose last dimension must be `count`."""
         array = self._framework.array(values)
         if not array.shape or array.shape[-1] != count:
             raise InvalidArgument(
@@ -189,23 +192,23 @@ def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = N
     n, m = host.packed.inputs, host.packed.outputs
 
     def array(values: Array) -> Array:
-        kind = jnp.asarray(values).dtype
-        return jnp.asarray(values, dtype=kind if kind in (np.float32, np.float64) else float)
+        dtype = jnp.asarray(values).dtype
+        return jnp.asarray(values, dtype=dtype if dtype in (np.float32, np.float64) else float)
 
     def slopes(w: Array) -> Array:
-        return on_host(lambda w: [host.slopes(w)], [((*w.shape[:-1], m, n), w.dtype)], w)[0]
+        return on_host(lambda rows: [host.slopes(rows)], [((*w.shape[:-1], m, n), w.dtype)], w)[0]
 
     @package.custom_jvp
     def answers(w: Array) -> tuple[Array, Array, Array]:
-        block = (*w.shape[:-1], m), w.dtype
-        return tuple(on_host(host.answers, [block, block, (w.shape[:-1], np.int32)], w))
+        outputs = (*w.shape[:-1], m), w.dtype
+        return tuple(on_host(host.answers, [outputs, outputs, (w.shape[:-1], np.int32)], w))
 
     @answers.defjvp
-    def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
+    def answers_jvp(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
         moved, error, coverage = answers(*primals)
         change = jnp.einsum("...qn,...n->...q", slopes(*primals), tangents[0])
-        nothing = np.zeros(coverage.shape, package.dtypes.float0)
-        return (moved, error, coverage), (change, jnp.zeros_like(error), nothing)
+        of_integers = np.zeros(coverage.shape, package.dtypes.float0)  # JAX's type for no tangent
+        return (moved, error, coverage), (change, jnp.zeros_like(error), of_integers)
 
     def wrench_and_stiffness(u: Array, start: Array) -> tuple[Array, Array]:
         lead = u.shape[:-1]
@@ -216,11 +219,13 @@ def jax(table: Table, method: str | None = None, tolerance: Tolerance | None = N
         return wrench_and_stiffness(u, start)[0]
 
     @inverse.defjvp
-    def _(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
+    def inverse_jvp(primals: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
         wrench, stiffness = wrench_and_stiffness(*primals)
         return wrench, jnp.einsum("...nq,...q->...n", stiffness, tangents[0])
 
-    return Evaluator(host, Framework(jnp, array, answers, slopes, inverse))
+    return Evaluator(
+        host, Framework(xp=jnp, array=array, answers=answers, slopes=slopes, inverse=inverse)
+    )
 
 
 def _jax_on_host(
@@ -229,11 +234,10 @@ def _jax_on_host(
     """Call a function of numpy arrays; `vmap` calls it once, with all rows."""
 
     def call(*values: Array) -> list[Array]:
-        blocks = function(*values)
-        kinds = [kind for _, kind in shapes]
-        return [b.astype(kind, copy=False) for b, kind in zip(blocks, kinds, strict=True)]
+        pairs = zip(function(*values), shapes, strict=True)
+        return [array.astype(dtype, copy=False) for array, (_, dtype) in pairs]
 
-    results = [package.ShapeDtypeStruct(shape, kind) for shape, kind in shapes]
+    results = [package.ShapeDtypeStruct(shape, dtype) for shape, dtype in shapes]
     return package.pure_callback(call, results, *arrays, vmap_method="broadcast_all")
 
 
@@ -256,28 +260,39 @@ class JointAnswers(NamedTuple):
     memory: Array
 
 
-REPLIED = "wrench", "displacement", "wrench_error", "force", "rate", "coverage"
-ENTERED = "memory", "poses", "velocities", "inverse_masses"
-
-
 def jax_joint(
     table: Table,
     dt: float,
-    damping: float = 0.02,
+    damping: float = DAMPING,
     *,
     axes: Array = None,
     interface: str | None = None,
     method: str | None = None,
     inputs: Mapping[str, float] | None = None,
 ) -> tuple[Callable[[Array, Array, Array, Array], JointAnswers], int]:
-    """Return a step of joints on arrays of JAX, and k, the size of a joint's memory.
+    """Return a step of joints on arrays of JAX, and s, the size of a joint's memory.
 
-    ``step(memory, poses, velocities, inverse_masses)`` takes shapes (..., k), zeros at the start,
-    and those of `Joints.step` for a step of `dt`, s. `jit`, `vmap` (one call of the kernel) and
-    `lax.scan` work on it; it has no derivative. `axes` (3, 3), columns, are the interface frame's
-    axes in the tip's own axes; needed if quaternions, angular velocities and moments refer to the
-    tip's axes, as MuJoCo's ball does; (k, 3, 3) for k interfaces. Other parameters and errors: see
-    `Joint`.
+    ``step(memory, poses, velocities, inverse_masses)`` takes a memory (..., s), zeros at the start,
+    and the shapes of `Joints.step`. `jit`, `vmap` (one call of the kernel) and `lax.scan` work on
+    it; it has no derivative. The memory has the poses' type: float32 rounds it in each step.
+
+    Parameters
+    ----------
+    table, damping, interface, method, inputs
+        As of `Joint`.
+    dt : float
+        The step, s.
+    axes : array_like, optional
+        Shape (3, 3), of k interfaces (k, 3, 3): the interface frame's axes, as columns, in the
+        tip's own axes. Needed if quaternions, angular velocities and moments refer to the tip's
+        axes, as MuJoCo's ball does.
+
+    Raises
+    ------
+    InvalidArgument
+        As of `Joint`, or if `dt` is not above 0 or a shape is wrong; of ``step`` too.
+    MissingPackage
+        If JAX is not installed.
     """
     package = required("jax", "arrays.jax_joint", "'wrenchbook[jax]'")
     joint = Joint(table, damping, interface=interface, method=method, inputs=inputs)
@@ -288,21 +303,21 @@ def jax_joint(
         raise InvalidArgument(f"dt must be a finite number above 0 s, not {dt}")
 
     size = first.memory.shape[1]
-    shapes = {name: first.replies[name].shape[1:] for name in REPLIED}
-    entered = [getattr(first, name).shape[1:] for name in ENTERED]
+    shapes = {name: first.replies[name].shape[1:] for name in _REPLIES}
+    entered = [getattr(first, name).shape[1:] for name in _BUFFERS]
 
     def on_host(*arrays: Array) -> list[Array]:
         """Run a step of the kernel on numpy arrays."""
         lead = arrays[0].shape[:-1]
         steps = joint.new_steps(int(np.prod(lead)), turned)
-        for name, array in zip(ENTERED, arrays, strict=True):
+        for name, array in zip(_BUFFERS, arrays, strict=True):
             buffer = getattr(steps, name)
             buffer[:] = np.asarray(array).reshape(buffer.shape)
         steps.step(dt, damping, os.cpu_count() or 1)
 
         codes = status_of(joint, steps)
         coverage = steps.replies["coverage"]
-        floats = [steps.replies[name] for name in REPLIED[:-1]]
+        floats = [steps.replies[name] for name in _REPLIES[:-1]]
         results = *floats, np.where(coverage < 0, OUTSIDE, coverage), codes, steps.memory
         return [array.reshape((*lead, *array.shape[1:])) for array in results]
 
@@ -317,7 +332,7 @@ def jax_joint(
                 f"in this order, not {[array.shape for array in arrays]}"
             )
 
-        results = [((*lead, *shapes[name]), kind) for name in REPLIED[:-1]]
+        results = [((*lead, *shapes[name]), kind) for name in _REPLIES[:-1]]
         results += [((*lead, *shapes["coverage"]), np.int32), (lead, np.int32)]
         results += [((*lead, size), kind)]
         return JointAnswers(*_jax_on_host(package, on_host, results, *arrays))
@@ -348,8 +363,14 @@ def torch(table: Table, method: str | None = None, tolerance: Tolerance | None =
         floats = tensor.dtype in (package.float32, package.float64)
         return tensor if floats else tensor.to(package.get_default_dtype())
 
-    functions = answers, lambda w: slopes(w)[0], lambda u, start: inverse(u, start.to(u))[0]
-    return Evaluator(host, Framework(package, array, *functions))
+    framework = Framework(
+        xp=package,
+        array=array,
+        answers=answers,
+        slopes=lambda w: slopes(w)[0],
+        inverse=lambda u, start: inverse(u, start.to(u))[0],
+    )
+    return Evaluator(host, framework)
 
 
 def _torch_function(
@@ -362,6 +383,12 @@ def _torch_function(
     The first tensor of its results is differentiable by the first argument, with a `jacobian` of
     arguments and results; without it none is. `vmap` calls it once, with all rows.
     """
+
+    def chained(sums: str, ctx: Array, change: Array) -> Array:
+        """Return the product of the jacobian at a call and a change of arguments or results."""
+        if jacobian is None:
+            raise InvalidArgument("a derivative has no derivative; differentiate displacement once")
+        return package.einsum(sums, jacobian(*ctx.saved_tensors), change)
 
     class Function(package.autograd.Function):
         @staticmethod
@@ -383,14 +410,12 @@ def _torch_function(
 
         @staticmethod
         def backward(ctx: Array, *grads: Array) -> tuple[Array, ...]:
-            assert jacobian is not None
-            change = package.einsum("...qn,...q->...n", jacobian(*ctx.saved_tensors), grads[0])
+            change = chained("...qn,...q->...n", ctx, grads[0])
             return change, *[None] * (ctx.counts[0] - 1)
 
         @staticmethod
         def jvp(ctx: Array, *steps: Array) -> tuple[Array, ...]:
-            assert jacobian is not None
-            change = package.einsum("...qn,...n->...q", jacobian(*ctx.saved_tensors), steps[0])
+            change = chained("...qn,...n->...q", ctx, steps[0])
             return change, *[None] * (ctx.counts[1] - 1)
 
         @staticmethod

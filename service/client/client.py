@@ -355,7 +355,7 @@ class EventParser:
 
     def feed(self, line: bytes) -> Event | None:
         """Take a line; return the event that it completes, if any."""
-        name, _, value = line.rstrip(b"\r\n").decode().partition(":")
+        name, _, value = line.rstrip(b"\r\n").decode(errors="replace").partition(":")
         value = value.removeprefix(" ")
         if name == "event":
             self._kind = value

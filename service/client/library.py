@@ -36,13 +36,13 @@ RIG_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _IMPORT_S = 300.0  # s: a million rows take a minute, and an earlier import in the queue as long
 
 
-def table_format(file: str | Path, compiled: Mapping[str, str] | None = None) -> str:
+def table_format(file: str | Path, further: Mapping[str, str] | None = None) -> str:
     """Return the format of a table file to be written; raises InvalidArgument by its ending.
 
-    `compiled`: the format of further endings.
+    `further`: formats by ending beside those of tables, such as ``.fmu``.
     """
-    more = ", or use wrenchbook export for .fmu and .zip" if compiled is None else ""
-    return format_of(file, "table", _ENDINGS | dict(compiled or {}), more)
+    more = ", or use wrenchbook export for .fmu and .zip" if further is None else ""
+    return format_of(file, "table", _ENDINGS | dict(further or {}), more)
 
 
 def format_of(file: str | Path, kind: str, formats: Mapping[str, str], more: str = "") -> str:
@@ -498,11 +498,14 @@ class LibraryCalls(Connection):
 
 
 def _whole(name: str, value: int) -> int:
-    """Return the number of a row or an import; raises InvalidArgument for a text."""
+    """Return the number of a row or an import; raises InvalidArgument unless it is whole."""
     try:
-        return int(value)
-    except (TypeError, ValueError):
-        raise InvalidArgument(f"{name} must be a whole number, not {value!r:.80}") from None
+        number = int(value)
+    except (TypeError, ValueError, OverflowError):
+        number = None
+    if number is None or (isinstance(value, float) and number != value):
+        raise InvalidArgument(f"{name} must be a whole number, not {value!r:.80}")
+    return number
 
 
 def _named_file(file: str | Path) -> tuple[str, bytes]:

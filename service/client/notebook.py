@@ -30,7 +30,7 @@ def html_table(caption: str, names: Sequence[str], rows: Iterable[Sequence[objec
 
 
 def named_columns(names: Sequence[str], block: Floats) -> dict[str, Floats]:
-    """Return the columns of a block, shape (n, 6), by names with units."""
+    """Return the columns of a block, shape (n, names), by names with units."""
     return dict(zip(names, block.T, strict=True))
 
 

@@ -265,7 +265,7 @@ class Displacements(messages.Displacements):
 
     @classmethod
     def read_binary(cls, component: str, wrenches: Vector, reply: Response) -> Self:
-        """Make the answers from the binary reply to `wrenches`, shape (n, 6), N and N·m.
+        """Make the answers from the binary reply to `wrenches`, shape (n, inputs), SI.
 
         The reply is float64, shape (n, 2 m + 1): displacement and error bars of m outputs, m and
         rad, then coverage as 0, 1 or 2 for `COVERAGE`; with derivatives shape (n, m, inputs)
@@ -352,5 +352,5 @@ def _stacked(answers: Sequence[Json], shape: tuple[int, ...]) -> Vector:
 def _named(names: Sequence[str], block: Vector, word: str) -> Document:
     """Return a block's columns by name; by `word` and index if there are more or fewer."""
     if block.shape[1] != len(names):
-        names = [f"{word} {place}" for place in range(block.shape[1])]
+        names = [f"{word} {index}" for index in range(block.shape[1])]
     return named_columns(names, block)

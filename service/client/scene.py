@@ -172,7 +172,9 @@ def _body(name: str, needs: Json) -> Document:
         body = _wrench(where, needs, ("force", "moment"))
     else:
         loads = _table(f"{where}.loads", needs["loads"])
-        body["loads"] = {k: _wrench(f"{where}.loads.{k}", load, load) for k, load in loads.items()}
+        body["loads"] = {
+            name: _wrench(f"{where}.loads.{name}", load) for name, load in loads.items()
+        }
     if needs.get("inputs") is not None:
         inputs = _table(f"{where}.inputs", needs["inputs"])
         body["inputs"] = {k: _span(f"{where}.inputs.{k}", span) for k, span in inputs.items()}
@@ -217,11 +219,13 @@ def _table(where: str, value: Json) -> Mapping[str, Json]:
     return value
 
 
-def _wrench(where: str, needs: Json, parts: Iterable[str]) -> Document:
-    """Return the spans of the three loads of each part, ``force`` or ``moment``."""
-    _refuse_unknown(where, parts, ("force", "moment"))
+def _wrench(where: str, needs: Json, parts: Iterable[str] | None = None) -> Document:
+    """Return the spans of the loads of each part, ``force`` or ``moment``; by default of all."""
+    needs = _table(where, needs)
+    names = list(needs) if parts is None else list(parts)
+    _refuse_unknown(where, names, ("force", "moment"))
     body: Document = {}
-    for part in parts:
+    for part in names:
         spans = needs.get(part)
         place = f"{where}.{part}"
         if spans is None:

@@ -141,9 +141,9 @@ class Table:
     def plan(self) -> ComponentPlan | None:
         """The scene plan that a scene's table follows; None of a whole table."""
         scene = self.packed.meta.get("scene")
-        return (
-            None if scene is None else ComponentPlan.read({**scene["plan"], "component": self.name})
-        )
+        if scene is None:
+            return None
+        return ComponentPlan.read({**scene["plan"], "component": self.name})
 
     def answer(
         self,
@@ -175,7 +175,7 @@ class Table:
         """
         packed = self.packed  # all of an answer is this version's, also beside a refresh
         values, wrenches = self._values(packed, force, moment, loads, inputs)
-        limit = self.allowed_errors(tolerance)
+        limit = self.allowed_errors(tolerance, packed)
         started = perf_counter_ns()
         try:
             reply = packed.answer(values, limit, method)
@@ -270,11 +270,16 @@ class Table:
             raise InvalidArgument(f"{self.name}: {error}") from None
         return [value + 0.0 for value in values], wrenches or {"": np.zeros(_PER_INTERFACE)}
 
-    def allowed_errors(self, tolerance: Tolerance | None) -> tuple[float, ...] | None:
-        """Return the largest error of each output, shape (m,), m and rad; None for its own."""
+    def allowed_errors(
+        self, tolerance: Tolerance | None, packed: PackedTable | None = None
+    ) -> tuple[float, ...] | None:
+        """Return the largest error of each output, shape (m,), m and rad; None for its own.
+
+        `packed` is the version of the answers, by default the present one.
+        """
         if tolerance is None:
             return None
-        return allowed_by(ErrorLimits(**tolerance_body(tolerance)), self.space)
+        return allowed_by(ErrorLimits(**tolerance_body(tolerance)), (packed or self.packed).space)
 
     def batch(
         self,
@@ -293,7 +298,7 @@ class Table:
             Shapes (n, outputs), m and rad; with `derivatives` also `Displacements.derivatives`.
         """
         packed = self.packed
-        limit = self.allowed_errors(tolerance)
+        limit = self.allowed_errors(tolerance, packed)
         block = many_wrenches(wrenches, packed.inputs)
         loads = block + 0.0  # no negative zeros, as the server reads them
         started = perf_counter_ns()
@@ -306,7 +311,7 @@ class Table:
 
         # Errors without the solver's part cannot be compared with a tolerance.
         complete = packed.bars_are_complete
-        allowed = (limit or self.allowed_errors(self.tolerance)) if complete else None
+        allowed = (limit or self.allowed_errors(packed.tolerance, packed)) if complete else None
         return Displacements(
             component=self.name,
             wrenches=block,

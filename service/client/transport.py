@@ -123,7 +123,9 @@ class Connection:
             )
 
         https = parts.scheme == "https"
-        self._kind = http.client.HTTPSConnection if https else http.client.HTTPConnection
+        self._connection_class = (
+            http.client.HTTPSConnection if https else http.client.HTTPConnection
+        )
         default = 443 if https else 80
         self._host = hostname
         self._port = port or default
@@ -152,7 +154,7 @@ class Connection:
         """Close the idle connections; a later call opens a new one."""
         idle = self._idle  # those of requests on the way close after the answer
         self._idle = []
-        while (connection := _last(idle)) is not None:
+        while (connection := _pop(idle)) is not None:
             connection.close()
 
     def abandon(self) -> None:
@@ -231,18 +233,18 @@ class Connection:
         self, method: str, head: bytes, content: bytes, timeout: float, repeatable: bool
     ) -> Response:
         """Send a request on an idle connection, or on a new one."""
-        self._require_wanted()
+        self._require_not_abandoned()
         if self._process_id != os.getpid():
             # Forked: the sockets belong to the parent. Drop them without a byte on the wire.
             self._idle = []
             self._process_id = os.getpid()
-        if repeatable and (connection := _last(self._idle)) is not None:
+        if repeatable and (connection := _pop(self._idle)) is not None:
             try:
                 return self._exchange(connection, method, head, content, timeout)
             except _CLOSED:
                 self.close()  # the server has closed the idle ones: once more on a new one
         try:
-            connection = self._kind(self._host, self._port)
+            connection = self._connection_class(self._host, self._port)
             return self._exchange(connection, method, head, content, timeout)
         except TimeoutError:
             raise
@@ -297,8 +299,8 @@ class Connection:
 
         Reading raises TimeoutError after `timeout` seconds without a byte.
         """
-        self._require_wanted()
-        connection = self._kind(self._host, self._port, timeout=timeout)
+        self._require_not_abandoned()
+        connection = self._connection_class(self._host, self._port, timeout=timeout)
         try:
             connection.connect()
             sock = connection.sock
@@ -322,14 +324,14 @@ class Connection:
             self._stream.close()
         return self._stream
 
-    def _require_wanted(self) -> None:
+    def _require_not_abandoned(self) -> None:
         if self._abandoned:
             raise WrenchbookError("the iteration was cancelled; start a new one")
 
     def _head(
         self, method: str, path: str, query: Mapping[str, object] | None, fields: Mapping[str, str]
     ) -> bytes:
-        """Lay out a request's head; InvalidArgument if something in it would end a line."""
+        """Return a request's head; raises InvalidArgument for a character that is not printable."""
         parameters = {
             key: str(value).lower() if isinstance(value, bool) else value
             for key, value in (query or {}).items()
@@ -401,7 +403,8 @@ def _pause_before_retry(
     return error.retry_after if error.status == 503 and repeatable else None
 
 
-def _last(idle: list[http.client.HTTPConnection]) -> http.client.HTTPConnection | None:
+def _pop(idle: list[http.client.HTTPConnection]) -> http.client.HTTPConnection | None:
+    """Return the newest idle connection; None if another thread has taken the last one."""
     try:
         return idle.pop()
     except IndexError:
@@ -411,9 +414,10 @@ def _last(idle: list[http.client.HTTPConnection]) -> http.client.HTTPConnection 
 def receive(sock: socket.socket, method: str) -> Response:
     """Read the answer to a request that has been sent.
 
-    HTTPException or OSError if none comes, or it breaks off, or is no HTTP. An ordinary success is
-    read here, others by http.client, which reads each header field into an e-mail message: that
-    takes longer than the server does.
+    An ordinary success is read here, others by http.client, which reads each header field into an
+    e-mail message: that takes longer than the server does.
+
+    Raises HTTPException or OSError if there is no answer, or it breaks off, or is no HTTP.
     """
     received = sock.recv(_FIRST_READ_BYTES)
     if not received:
@@ -506,5 +510,5 @@ def problem(response: Response) -> ProblemError:
             )
         error = ProblemError(status, reason, text)
     seconds = response.headers.get("Retry-After", "")
-    error.retry_after = float(seconds) if seconds.isdigit() else None
+    error.retry_after = float(seconds) if seconds.isdecimal() else None
     return error

@@ -55,7 +55,7 @@ def test_drake_reads_the_wrench_of_the_closed_form():
     pytest.importorskip("pydrake", reason="has no wheel here")
     module = script("drake_pendulum")
     on, plant, context = module.scene(rigid(), angle=0.5)
-    simulator = module.analysis.Simulator(plant, context)
+    simulator = module.drake.Simulator(plant, context)
     for sync in range(1, 20):
         simulator.AdvanceTo(0.01 * sync)
         angle, speed = plant.GetPositions(context)[0], plant.GetVelocities(context)[0]

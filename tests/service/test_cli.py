@@ -516,11 +516,10 @@ def test_a_package_that_is_missing_is_named_with_its_installation(
     run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     for module in (
-        "mujoco_model",
-        "mujoco_joint",
-        "mujoco_scene",
+        *("joint.mujoco_model", "joint.mujoco_joint", "joint.mujoco_scene"),
+        "mujoco",
     ):  # another test may have imported them
-        monkeypatch.delitem(sys.modules, f"wrenchbook.service.client.joint.{module}", raising=False)
+        monkeypatch.delitem(sys.modules, f"wrenchbook.service.client.{module}", raising=False)
     monkeypatch.setitem(sys.modules, "mujoco", None)
     (tmp_path / "arm.xml").write_text("<mujoco/>")
     status, _, error = run("joint", "bar", str(tmp_path / "arm.xml"))

@@ -329,6 +329,8 @@ def test_fill_until_stops_when_a_whole_round_fails(stub: Stub, client: Client):
         ),
         (lambda client: client.displacement("plate", inputs=3), "inputs must map names"),
         (lambda client: client.invalidate_row("plate", "x"), "row must be a whole number, not 'x'"),
+        (lambda client: client.restore_row("plate", 1.5), "row must be a whole number, not 1.5"),
+        (lambda client: client.restore_row("plate", math.inf), "row must be a whole number"),
         (lambda client: client.withdraw_import("plate", None), "number must be a whole number, n"),
         (lambda client: client.import_table("plate", 3), "table must be a path, or the content"),
         (lambda _: Client("127.0.0.1:99999"), "not the address of a server"),

@@ -149,6 +149,13 @@ def test_a_busy_server_is_not_waited_for_beyond_the_timeout(stub: Stub, pauses):
     assert (len(stub.seen), pauses) == (1, [])
 
 
+def test_a_time_to_retry_that_is_no_number_is_unknown(stub: Stub, client: Client):
+    stub.answers(Answer({}, status=503, headers={"Retry-After": "\u00b2"}))
+    with pytest.raises(ProblemError, match="503") as caught:
+        client.job(1)
+    assert caught.value.retry_after is None
+
+
 def test_the_representation_of_a_client_shows_its_address_and_no_key():
     shown = repr(Client("127.0.0.1:8000", key="secret"))
     assert shown == "Client('http://127.0.0.1:8000', timeout=30, key=...)"

@@ -94,6 +94,23 @@ def test_an_answer_beside_a_refresh_names_the_version_that_gave_it(
     assert (reply.table_version, table.version) == (old, old + 1)
 
 
+def test_answers_beside_a_refresh_are_judged_by_the_tolerance_of_their_version(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table, batch = client.download("solved"), PackedTable.batch
+    packed = table.packed
+    packed.tolerance, packed.bars_are_complete = (1.0, 1.0), True
+    newer = SimpleNamespace(space=packed.space, tolerance=(1e-30, 1e-30))
+
+    def refreshed(packed: PackedTable, *options: object) -> object:
+        table._now = newer, None
+        return batch(packed, *options)
+
+    monkeypatch.setattr(PackedTable, "batch", refreshed)
+    reply = table.batch(0.3 * FULL[None])
+    assert reply.within_tolerance.all(), reply.errors
+
+
 def test_a_saved_table_is_the_export_and_cannot_be_refreshed(client: Client, tmp_path: Path):
     table, path = client.download("partial"), tmp_path / "partial.wbt"
     table.save(path)

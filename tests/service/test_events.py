@@ -37,6 +37,10 @@ def heard(listener):
     return list(read_events(wire.splitlines(keepends=True)))
 
 
+def test_a_line_that_breaks_off_within_a_character_is_no_error():
+    assert read_events(["data: é".encode()[:-1]]) == []
+
+
 # -- the feed ---------------------------------------------------------------------------------
 
 

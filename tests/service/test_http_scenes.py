@@ -203,6 +203,8 @@ def test_a_scene_beyond_the_range_is_not_downloaded(client: Client):
         ({"a": {**PLANAR, "outputs": "uz"}}, "components.a.outputs"),
         ({"a": {**PLANAR, "outputs": [["uz"]]}}, "components.a.outputs"),
         ({"a": {**PLANAR, "outputs": 5}}, "components.a.outputs"),
+        ({"a": {"loads": {"left": 5}}}, "components.a.loads.left is 5, but must be a table"),
+        ({"a": {"loads": {"left": None}}}, "components.a.loads.left is None, but must be a table"),
         ({"a": {**PLANAR, "tolerance": -1}}, "components.a.tolerance"),
         (
             {"a": {**PLANAR, "tolerance": [0, 1e-5]}},

@@ -21,21 +21,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wrenchbook.surrogate.answer import UnknownMethodError
+from wrenchbook.surrogate.answer import COVERED, UnknownMethodError
 from wrenchbook.surrogate.kernel.joint import FREEDOMS, MAX_INTERFACES, JointSteps, shape_of
 from wrenchbook.surrogate.kernel.replies import Status
 from wrenchbook.surrogate.table.rows import ROTATION_LIMIT
 
-from ...contract import COVERAGE, LOAD_UNITS
+from ...contract import COVERAGE, LOAD_UNITS, LOADS, OUTPUTS
 from ..conventions import quaternion_wxyz as quaternion
 from ..errors import InvalidArgument, JointError, JointRangeError, JointWarning, warn
 from ..rotation import checked_rotation
 from ..wrenches import Vector, floats_of
-from .report import JointReport, report_of
+from .report import JointReport, ReportedJoint, report_of
 
 if TYPE_CHECKING:
     from ..table import Table
 
+# Default damping ratio: of welded steel at working stress, 2 to 3 % (Newmark and Hall 1982).
+DAMPING = 0.02
 NOT_YET = -2  # coverage before the first step, beside the kernel's codes
 # Coverage by these codes, also from the end: -2 is NOT_YET, -1 a step without a wrench.
 COVERED_AS = np.array([*COVERAGE, None, COVERAGE[-1]], dtype=object)
@@ -99,7 +101,7 @@ class Joint:
     def __init__(
         self,
         table: Table,
-        damping: float = 0.02,
+        damping: float = DAMPING,
         *,
         interface: str | None = None,
         method: str | None = None,
@@ -113,15 +115,15 @@ class Joint:
         self._several, self._size = len(self.interfaces) > 1, FREEDOMS * len(self.interfaces)
         names = [f"{name} " * self._several for name in self.interfaces]
         self._symbols = np.array([name + load for name in names for load in SYMBOLS])
-        self._name = table.name
+        self.name = table.name
         self._further = further_inputs(table, inputs or {})
         self._warned_beyond = self._warned_uncovered = self._warned_unstable = False
-        self._remedy = "Check masses, units and steps (all with the joint), or widen the range"
+        self.remedy = "Check masses, units and steps (all with the joint), or widen the range"
         try:
             self._begin(None)
             self._require_stiffness()
         except UnknownMethodError as error:
-            raise InvalidArgument(f"{self._name}: {error}") from error
+            raise InvalidArgument(f"{self.name}: {error}") from error
 
     def _require_stiffness(self) -> None:
         """Refuse a table without stiffness; warn of wrenches at which it cannot be inverted."""
@@ -144,8 +146,8 @@ class Joint:
             )
         if is_indefinite.any():
             worst = int(np.nanargmin(least))
-            is_covered = answers.coverage == 0
-            self._remedy = f"The compliance is not positive definite: {self._more_rows()}"
+            is_covered = answers.coverage == COVERED
+            self.remedy = f"The compliance is not positive definite: {self._more_rows()}"
             warn(
                 f"{self._indefinite(sample[worst][at], loads[worst])}. So it is at "
                 f"{is_indefinite.sum()} of {known} wrenches of the load range, "
@@ -190,10 +192,6 @@ class Joint:
 
         It is in the undeformed interface frame, its moment about the displaced interface point.
         """
-        return self._last_wrench()
-
-    def _last_wrench(self) -> Vector:
-        """Return `wrench`; the joints of a scene know it by the velocity after the step."""
         return np.array(self._reply["wrench"])
 
     @property
@@ -213,7 +211,31 @@ class Joint:
 
     def report(self) -> JointReport:
         """Return coverage, largest error bars and stored energy of all steps since `restart`."""
-        return report_of(self)
+        return self._report()
+
+    def _report(self, began: float = 0.0, energy_drift: float = math.nan) -> JointReport:
+        """Return `report_of` this joint, with remedies by its method and its load range."""
+        packed, at, names = self._packed, self._at, (OUTPUTS, LOADS)
+        if self._several:
+            space = self._table.space
+            every = space.output_names, space.input_names
+            names = tuple(tuple(np.array(each)[at].tolist()) for each in every)
+        remedy = self._more_rows()
+        if self._method is None and packed.answers_by() == "linear":
+            remedy = "more solves do not help a linear part; use a finer mesh or nonlinear = true"
+        if self._warned_beyond:
+            remedy = f"widen the load range, which a pose of the steps exceeds; {remedy}"
+        joint = ReportedJoint(
+            self.name,
+            self.interfaces,
+            self.free,
+            *names,
+            load_scale=packed.load_scale[at],
+            tolerance=packed.arrays["space/tolerance"][at],
+            stiffness=self._stiffness,
+            remedy=remedy,
+        )
+        return report_of(joint, self._history, began, energy_drift)
 
     def _begin(self, axes: Vector | None) -> None:
         """Make the kernel's arrays, with `axes` as in `new_steps`, and delete the last step."""
@@ -271,7 +293,7 @@ class Joint:
         parts = zip(direction, self._symbols[self.free], strict=True)
         shown = " ".join(f"{part:+.2g} {load}" for part, load in parts if abs(part) >= SHOWN)
         return (
-            f"{self._name}, method {self._packed.answers_by(self._method)!r}: at the wrench "
+            f"{self.name}, method {self._packed.answers_by(self._method)!r}: at the wrench "
             f"({', '.join(f'{load:.4g}' for load in wrench)}) N, N·m the compliance is not "
             f"positive definite, because the part moves against a load along ({shown}, in "
             f"fractions of the load range); {self._more_rows()}"
@@ -367,17 +389,17 @@ class Joint:
         ranges = self._ranges[0]
         if self._status[0] or ranges > 1.0:
             self._refuse(int(self._status[0]), float(ranges))
-        elif self._coverage[0] > 0 or (self._several and self._coverage.max() > 0):
-            self._warn_uncovered(self._static_wrench)
+        elif self._coverage[0] > COVERED or (self._several and self._coverage.max() > COVERED):
+            self.warn_uncovered(self._static_wrench)
 
-    def _warn_uncovered(self, wrench: Vector) -> None:
+    def warn_uncovered(self, wrench: Vector) -> None:
         """Warn once of a wrench that the table does not cover."""
         if not self._warned_uncovered:
             self._warned_uncovered = True
             packed = self._packed
             answer = packed.answer(self._inputs(wrench).tolist(), None, self._method)
             warn(
-                f"{self._name}: the wrench of a step is {answer.coverage} by the method "
+                f"{self.name}: the wrench of a step is {answer.coverage} by the method "
                 f"{packed.answers_by(self._method)!r}, so displacement and wrench are estimates "
                 f"({answer.reason}); {self._more_rows()}. This warning appears once",
                 JointWarning,
@@ -389,14 +411,14 @@ class Joint:
         Up to MAX_RANGES a pose only causes a warning.
         """
         if status == Status.INDEFINITE:
-            least, loads = self._weakest(self._stiffness[None])
+            least, loads = self.weakest(self._stiffness[None])
             if least[0] < 0.0:
                 raise JointError(self._indefinite(np.ravel(self._static_wrench), loads[0]))
         elif status == Status.NO_MASS:
             matrix = self._steps.inverse_masses[self._entry][np.ix_(self.free, self.free)]
             smallest = float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[0])
             raise InvalidArgument(
-                f"{self._name}: the inverse effective mass must be symmetric and positive "
+                f"{self.name}: the inverse effective mass must be symmetric and positive "
                 f"definite. Its smallest eigenvalue is {smallest:.3g}, and it differs from "
                 f"its transpose by {np.abs(matrix - matrix.T).max():.3g}. {self._mass_remedy}"
             )
@@ -404,26 +426,26 @@ class Joint:
             pose = self._steps.poses[self._entry]
             if np.isfinite(pose).all() and not pose[..., 3:].any(axis=-1).all():
                 raise InvalidArgument(
-                    f"{self._name}: the quaternion of the pose is zero, which is no rotation; "
+                    f"{self.name}: the quaternion of the pose is zero, which is no rotation; "
                     "write (1, 0, 0, 0) for the undeformed pose"
                 )
             wrong = "inverse mass" if np.isfinite(pose).all() else f"pose {pose.tolist()}"
             raise InvalidArgument(
-                f"{self._name}: the {wrong} is not finite, because the simulation has diverged; "
+                f"{self.name}: the {wrong} is not finite, because the simulation has diverged; "
                 "restore an earlier state and use a smaller time step"
             )
         elif status:
             moved = ", ".join(f"{number:.4g}" for number in self.displacement.ravel())
             raise JointError(
-                f"{self._name}: the compliance has no inverse at the displacement ({moved}) m, "
+                f"{self.name}: the compliance has no inverse at the displacement ({moved}) m, "
                 f"rad, so the wrench there is undefined; {self._more_rows()}, or lock the freedom "
                 "that does not move"
             )
 
         if ranges > MAX_RANGES:
-            raise JointRangeError(f"{self._name}: {self._excess(ranges)}. {self._remedy}")
+            raise JointRangeError(f"{self.name}: {self._excess(ranges)}. {self.remedy}")
         if ranges > 1.0:
-            self._warn_beyond(self._excess(ranges))
+            self.warn_beyond(self._excess(ranges))
 
     def _excess(self, ranges: float) -> str:
         """Return a text on the load or displacement that is `ranges` times the range out."""
@@ -442,18 +464,18 @@ class Joint:
             f"{LOAD_UNITS[load % FREEDOMS]}"
         )
 
-    def _warn_beyond(self, excess: str) -> None:
+    def warn_beyond(self, excess: str) -> None:
         """Warn once of a pose beyond the range."""
         if not self._warned_beyond:
             self._warned_beyond = True
             warn(
-                f"{self._name}: {excess}; the wrench is extrapolated linearly, up to "
-                f"{MAX_RANGES:g} times the range. {self._remedy}",
+                f"{self.name}: {excess}; the wrench is extrapolated linearly, up to "
+                f"{MAX_RANGES:g} times the range. {self.remedy}",
                 JointWarning,
             )
 
-    def _weakest(self, stiffness: Vector) -> tuple[Vector, Vector]:
-        """Return `PackedTable.weakest` of stiffnesses (k, 6, 6).
+    def weakest(self, stiffness: Vector) -> tuple[Vector, Vector]:
+        """Return `PackedTable.weakest` of stiffnesses (n, 6 k, 6 k).
 
         A part with a negative value gives energy.
         """

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from wrenchbook.surrogate.answer import COVERED
 from wrenchbook.surrogate.kernel.joint import JointSteps
 from wrenchbook.surrogate.kernel.replies import Status
 
 from ..errors import InvalidArgument, JointWarning, warn
 from ..wrenches import Vector
-from .joint import COVERED_AS, LARGEST_TURN, MAX_RANGES, NOT_YET, Joint
+from .joint import COVERED_AS, DAMPING, LARGEST_TURN, MAX_RANGES, NOT_YET, Joint
 
 if TYPE_CHECKING:
     from ..table import Table
@@ -35,7 +36,7 @@ def status_of(joint: Joint, steps: JointSteps) -> NDArray[np.int32]:
     codes = np.array(steps.replies["status"])
     doubtful = np.flatnonzero(codes == Status.INDEFINITE)
     if len(doubtful):
-        least, _ = joint._weakest(replies["stiffness"][doubtful])
+        least, _ = joint.weakest(replies["stiffness"][doubtful])
         codes[doubtful[~(least < 0.0)]] = Status.OK
     codes[(codes == Status.OK) & ~(replies["ranges"] <= MAX_RANGES)] = BEYOND
     replies["wrench"][codes != Status.OK] = replies["force"][codes != Status.OK] = np.nan
@@ -57,7 +58,7 @@ class Joints:
         self,
         table: Table,
         count: int,
-        damping: float = 0.02,
+        damping: float = DAMPING,
         *,
         interface: str | None = None,
         method: str | None = None,
@@ -95,9 +96,9 @@ class Joints:
     @inputs.setter
     def inputs(self, values: Mapping[str, float]) -> None:
         self._joint.inputs = values
-        self._steps.inputs[:] = self._joint._steps.inputs
+        self._steps.inputs[:] = self._joint.new_steps(1, None).inputs
         for joint in self.joints:
-            joint._further = self._joint._further
+            joint.inputs = values
 
     @property
     def memory(self) -> Vector:
@@ -192,17 +193,17 @@ class Joints:
             self._warned = True
             counts = ", ".join(f"{failed.count(kind)} {kind}" for kind in dict.fromkeys(failed))
             warn(
-                f"{self._joint._name}: {len(failed)} of {len(self)} joints have no wrench in this "
-                f"step, NaN: {counts}; `status` has each. {self._joint._remedy}. This appears once",
+                f"{self._joint.name}: {len(failed)} of {len(self)} joints have no wrench in this "
+                f"step, NaN: {counts}; `status` has each. {self._joint.remedy}. This appears once",
                 JointWarning,
             )
         beyond = int((~self.failed & ~within).sum())
         if beyond:
-            self._joint._warn_beyond(
+            self._joint.warn_beyond(
                 f"{beyond} of {len(self)} poses are outside the load range, or rotate by more than "
                 f"{LARGEST_TURN:g} degrees"
             )
-        thin = (replies["coverage"].reshape(len(self), -1) > 0).any(axis=1)
+        thin = (replies["coverage"].reshape(len(self), -1) > COVERED).any(axis=1)
         uncovered = np.flatnonzero(~self.failed & within & thin)
         if len(uncovered):
-            self._joint._warn_uncovered(replies["still"][uncovered[0]])
+            self._joint.warn_uncovered(replies["still"][uncovered[0]])

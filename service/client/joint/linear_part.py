@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from wrenchbook.surrogate.answer import COVERED
+from wrenchbook.surrogate.table.rows import SOLVED
+
 from ...contract import LOAD_UNITS, LOADS, OUTPUTS
 from ..errors import Document, InvalidArgument
 from ..wrenches import Vector, floats_of
@@ -31,8 +34,8 @@ class LinearPart:
     freedoms : tuple of str
         The n freedoms that the part does not lock, of ``ux`` to ``rz``.
     stiffness : list of lists
-        Shape (n, n), N/m to N·m/rad, symmetric: what the wrench on the interface changes by the
-        displacement of the interface, in the undeformed interface frame.
+        Shape (n, n), N/m to N·m/rad, symmetric: the derivative of the wrench on the interface by
+        its displacement, in the undeformed interface frame.
     wrench, displacement : list of float
         Shape (n,): the load about which the part is linear, N and N·m, and its displacement, m and
         rad.
@@ -62,7 +65,7 @@ class LinearPart:
         wrench: ArrayLike | None = None,
         inputs: Mapping[str, float] | None = None,
     ) -> Self:
-        """Return a table's part, linear about a wrench, shape (6,), N and N·m; about none if None.
+        """Return a table's part, linear about a wrench, shape (6,), N and N·m; at no load if None.
 
         `inputs` are those of the table that are no loads, by name, as `Joint` takes them.
 
@@ -81,39 +84,39 @@ class LinearPart:
         further = further_inputs(table, inputs or {})
         centre = np.concatenate([np.zeros(packed.inputs - len(further)), further])
         centre[at] = load
-        for place, low, high in zip(free, *packed.load_range[:, indices], strict=True):
-            if not low <= load[place] <= high:
+        for k, low, high in zip(free, *packed.load_range[:, indices], strict=True):
+            if not low <= load[k] <= high:
                 raise InvalidArgument(
-                    f"{table.name}: {LOADS[place]} of wrench must be within the load range, "
-                    f"{low:g} to {high:g} {LOAD_UNITS[place]}, not {load[place]:g}"
+                    f"{table.name}: {LOADS[k]} of wrench must be within the load range, "
+                    f"{low:g} to {high:g} {LOAD_UNITS[k]}, not {load[k]:g}"
                 )
         slope = packed.derivative(centre.tolist())[np.ix_(indices, indices)]
-        compliance = 0.5 * (slope + slope.T)
+        compliance = 0.5 * (slope + slope.T)  # springs store energy: no antisymmetric part
         _require_springs(table, compliance)
 
         loads = packed.sample(centre, indices)
         answers = packed.batch(np.vstack([centre, loads]))
         moved = answers.outputs[1:, indices]
-        first = answers.outputs[0, indices]
-        wrong = moved - first - (loads - centre)[:, indices] @ compliance
+        at_centre = answers.outputs[0, indices]
+        deviations = moved - at_centre - (loads - centre)[:, indices] @ compliance
         return cls(
             component=table.name,
             table_version=table.version,
-            freedoms=tuple(OUTPUTS[place] for place in free),
+            freedoms=tuple(OUTPUTS[k] for k in free),
             stiffness=np.linalg.inv(compliance).tolist(),
             wrench=centre[indices].tolist(),
-            displacement=first.tolist(),
-            largest_error=np.abs(wrong).max(axis=0).tolist(),
-            rms_error=np.sqrt((wrong**2).mean(axis=0)).tolist(),
+            displacement=at_centre.tolist(),
+            largest_error=np.abs(deviations).max(axis=0).tolist(),
+            rms_error=np.sqrt((deviations**2).mean(axis=0)).tolist(),
             largest_displacement=np.abs(moved).max(axis=0).tolist(),
-            covered=float((np.asarray(answers.coverage[1:]) == 0).mean()),
+            covered=float((np.asarray(answers.coverage[1:]) == COVERED).mean()),
         )
 
     @property
     def unloaded(self) -> Vector:
         """The displacement at which the springs carry nothing, shape (n,), m and rad."""
-        strain = np.linalg.solve(np.array(self.stiffness), np.array(self.wrench))
-        return np.asarray(np.array(self.displacement) - strain, dtype=float)
+        deflection = np.linalg.solve(np.array(self.stiffness), np.array(self.wrench))
+        return np.asarray(np.array(self.displacement) - deflection, dtype=float)
 
     @property
     def error(self) -> str:
@@ -143,7 +146,7 @@ class LinearPart:
         condensed = None if mass is None else np.asarray(mass, dtype=float)[np.ix_(chosen, chosen)]
         return {
             **asdict(self),
-            "loads": [LOADS[place] for place in chosen],
+            "loads": [LOADS[k] for k in chosen],
             "mass": None if condensed is None else condensed.tolist(),
             "units": "N, N·m, m, rad, kg",
             "frame": "the undeformed interface frame, about the interface point",
@@ -158,7 +161,7 @@ def _require_springs(table: Table, compliance: Vector) -> None:
         smallest = float(np.linalg.eigvalsh(compliance)[0])
         cause = f"its compliance is not positive definite (smallest eigenvalue {smallest:.3g})"
     if smallest <= 0.0:
-        is_solved = "fea" in table.packed.meta.get("provenance", {}).get("sources", {"fea": 1})
+        is_solved = SOLVED in table.packed.meta.get("provenance", {}).get("sources", {SOLVED: 1})
         more = (
             f"run wrenchbook fill {table.name} --for-joint"
             if is_solved

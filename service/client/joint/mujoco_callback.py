@@ -11,8 +11,8 @@ from weakref import WeakSet
 import numpy as np
 
 from ..errors import JointError
+from ..mujoco import Data, Model, engine
 from .mujoco_joint import joints_of, pull, warn_bare
-from .mujoco_scene import Data, Model, engine
 
 _NO_CONTROL = int(engine.mjtDisableBit.mjDSBL_ACTUATION)
 

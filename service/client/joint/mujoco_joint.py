@@ -9,20 +9,19 @@ from weakref import WeakKeyDictionary, WeakValueDictionary
 import numpy as np
 
 from ..errors import InvalidArgument, JointError, JointWarning, warn
+from ..mujoco import Data, Model, engine, name_of
 from ..wrenches import Vector
-from .joint import FREEDOMS, Joint, quaternion
+from .joint import DAMPING, FREEDOMS, Joint, quaternion
 from .mujoco_scene import (
-    Data,
-    Model,
+    PoseRun,
     block_positions,
-    body_name,
     body_number,
-    engine,
     find_tip,
     refuse_rk4,
+    require_version,
     warn_unstable,
 )
-from .report import JointReport, report_of
+from .report import JointReport
 
 if TYPE_CHECKING:
     from wrenchbook.surrogate.kernel.joint import JointSteps
@@ -98,7 +97,7 @@ class MujocoJoint(Joint):
         table: Table,
         base: str = "base",
         tip: str = "tip",
-        damping: float = 0.02,
+        damping: float = DAMPING,
         *,
         bodies: Mapping[str, str] | None = None,
         interface: str | None = None,
@@ -113,13 +112,14 @@ class MujocoJoint(Joint):
                 "physics.data.ptr"
             )
         super().__init__(table, damping, interface=interface, method=method, inputs=inputs)
+        require_version()
         refuse_rk4(model)
 
         self._model = model
         self._data = data
         self._base, self._tips = base, self._bodies(tip, bodies)
         tips = ", ".join(map(repr, self._tips))
-        self._name = f"{table.name} at {'tips' if self._several else 'tip'} {tips}"
+        self.name = f"{table.name} at {'tips' if self._several else 'tip'} {tips}"
 
         parent = body_number(model, base)
         for name in self._tips:
@@ -127,13 +127,13 @@ class MujocoJoint(Joint):
             if actual != parent:
                 raise JointError(
                     f"body {name!r} must be a child of body {base!r}, but it is a child of "
-                    f"{body_name(model, actual)!r}; pass the name of its parent as base"
+                    f"{name_of(model, actual)!r}; pass the name of its parent as base"
                 )
         # The last body towards the base that no freedom moves: a mocap body, or the world.
         while model.body_dofnum[top := int(model.body_weldid[parent])]:
             parent = int(model.body_parentid[top])
         self._unmoved = parent
-        self._find()
+        self._find_freedoms()
 
     def step(self) -> None:  # type: ignore[override]
         """Advance the scene by one time step; call it in the place of ``mj_step``.
@@ -166,9 +166,9 @@ class MujocoJoint(Joint):
             raise JointError(f"{self._table.name}: {'; '.join(wrong)}. Write bodies={{{expected}}}")
         return tuple(bodies[name] for name in names)
 
-    def _find(self) -> None:
+    def _find_freedoms(self) -> None:
         """Find the tips' freedoms in the scene, and their pairs in its mass matrix."""
-        self._runs: list[tuple[int, int, int, int]] = []  # index of a tip, then as `Tip.runs`
+        self._runs: list[tuple[int, PoseRun]] = []  # with the index of a tip
         self._hinges: list[tuple[int, Vector, int]] = []  # index of a tip, then as `Tip.hinge`
         self._starts: list[int] = []  # each tip's first freedom in MuJoCo's arrays
         self._blocks: list[slice] = []  # freedoms of tips whose pairs are in the mass matrix
@@ -179,7 +179,7 @@ class MujocoJoint(Joint):
             tip = find_tip(self._model, name, free, self._table.name)
             self._starts.append(tip.dof)
             ball_axes.append(tip.ball_axes)
-            self._runs += [(k, *run) for run in tip.runs]
+            self._runs += [(k, run) for run in tip.runs]
             if tip.hinge:
                 self._hinges.append((k, *tip.hinge))
             block = tip.dof + np.arange(len(free))
@@ -198,16 +198,17 @@ class MujocoJoint(Joint):
         if len(self.free) == self._size:  # slices are faster
             self._moving = self._square = slice(None)
         if self._several:
-            self._spin_axes = np.array([np.eye(3) if axes is None else axes for axes in ball_axes])
+            self.spin_axes = np.array([np.eye(3) if axes is None else axes for axes in ball_axes])
         else:
-            self._spin_axes = ball_axes[0]
-        self._begin(self._spin_axes)
-        self._watch(self._data, self._steps, 0)
+            self.spin_axes = ball_axes[0]
+        self._begin(self.spin_axes)
+        self.attach(self._data, self._steps, 0)
 
-    def _watch(self, data: Data, steps: JointSteps, at: int) -> None:
-        """Take a joint of the kernel's arrays, and views of the data of its scene.
+    def attach(self, data: Data, steps: JointSteps, at: int) -> None:
+        """Use entry `at` of the kernel's arrays for the tips of a scene.
 
-        The views stay valid: a scene's arrays and the kernel's never move.
+        Attributes are views of both, which stay valid: a scene's arrays and the kernel's never
+        move. Raises InvalidArgument if the data belong to another model.
         """
         if data.signature != self._model.signature:
             raise InvalidArgument(
@@ -217,20 +218,21 @@ class MujocoJoint(Joint):
 
         before = _JOINTS.get(self._data, {})
         self._data = data
-        self._pose = None
-        reply = self._reply
+        self._base_before = None
         self._scene = self._model.opt
         self._solved = np.empty_like(self._units)
-        self._pose_of_tip, self._inverse_mass = steps.poses[at], steps.inverse_masses[at]
-        self._before = steps.velocities[at].reshape(-1)
-        self._before[:] = np.nan
-        self._force, self._slope, self._spin = reply["force"], reply["rate"], reply["spin"]
-        poses = self._pose_of_tip.reshape(-1, 7)
+        self._tip_pose, self._inverse_mass = steps.poses[at], steps.inverse_masses[at]
+        self._velocity_before = steps.velocities[at].reshape(-1)
+        self._velocity_before[:] = np.nan
+        names = "force", "rate", "spin"
+        self._force, self._slope, self._spin = (self._reply[name] for name in names)
+        poses = self._tip_pose.reshape(-1, 7)
         qpos = data.qpos
-        self._read_from = [
-            (poses[k, to : to + n], qpos[at : at + n]) for k, to, at, n in self._runs
+        self._pose_views = [
+            (poses[k, to : to + count], qpos[start : start + count])
+            for k, (to, start, count) in self._runs
         ]
-        self._turned = [(poses[k, 3:], axis, qpos[at : at + 1]) for k, axis, at in self._hinges]
+        self._hinge_views = [(poses[k, 3:], axis, qpos[q : q + 1]) for k, axis, q in self._hinges]
 
         self._velocities = data.qvel
         self._applied = data.qfrc_applied
@@ -242,33 +244,30 @@ class MujocoJoint(Joint):
             _JOINTS.setdefault(data, WeakValueDictionary())[start, id(self)] = self
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the state without MuJoCo's options, which MuJoCo does not pickle.
-
-        The model has them.
-        """
+        """Return the state without MuJoCo's options, which the model has and cannot be pickled."""
         others = {at: joint._tips for at, joint in _by_tip(self._data).items() if joint is not self}
         state = {name: value for name, value in self.__dict__.items() if name != "_scene"}
         return state | {"_others_copied": others}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         super().__setstate__(state)
-        self._watch(self._data, self._steps, self._entry)
+        self.attach(self._data, self._steps, self._entry)
 
     def _read_pose(self) -> None:
         """Write the tips' translations and quaternions into the kernel's arrays."""
-        for pose, place in self._read_from:
-            pose[:] = place
-        for pose, axis, angle in self._turned:
+        for pose, numbers in self._pose_views:
+            pose[:] = numbers
+        for pose, axis, angle in self._hinge_views:
             pose[:] = quaternion(axis * angle)
 
-    def _read(self) -> None:
+    def read_scene(self) -> None:
         """Write the pose and the inverse mass of this step into the kernel's arrays."""
         if self._unmoved:
             self._watch_base()
         now = float(self._data.time)
         if now not in self._times:  # the scene was set to another state, whose energy is unknown
             if self._began and not self._warned_unstable:
-                self._warned_unstable = warn_unstable(self._data, self._name)
+                self._warned_unstable = warn_unstable(self._data, self.name)
             self._began = self._began and (self._began[0], np.nan)
             # Otherwise the inverse's last bits would depend on the earlier state.
             self._memory[0] = 0.0
@@ -277,7 +276,7 @@ class MujocoJoint(Joint):
         # For modes that keep their energy, constraint forces of the last step are too old.
         if not self.damping:
             lags = (self._several or not self._blocks) and self._data.nefc
-            self._before[self._moving] = np.nan if lags else self._velocities[self._dofs]
+            self._velocity_before[self._moving] = np.nan if lags else self._velocities[self._dofs]
         engine.mj_solveM(self._model, self._data, self._solved, self._units)
         self._inverse_mass[self._square] = self._solved[:, self._dofs]  # by unit loads
 
@@ -313,8 +312,8 @@ class MujocoJoint(Joint):
         began = self._began
         time, energy = began or (0.0, np.nan)
         if began and all(part._began == began for part in parts) and self._data.time in self._times:
-            return report_of(self, time, _energy(parts) - energy)
-        return report_of(self, time)
+            return self._report(time, _energy(parts) - energy)
+        return self._report(time)
 
     def restart(self) -> None:
         """Delete the state of the last step."""
@@ -326,11 +325,13 @@ class MujocoJoint(Joint):
         self._with_part = None
         super().restart()
 
-    def _lose_wrench(self) -> None:
+    def lose_wrench(self) -> None:
+        """Set the wrench of the last step to NaN."""
         self._law = self._law._replace(force=np.full(len(self.free), np.nan))
 
-    def _last_wrench(self) -> Vector:
-        """Return the wrench of the last step, by the velocity after it."""
+    @property
+    def wrench(self) -> Vector:
+        """The wrench on the part in the last step, by the velocity after it; see `Joint.wrench`."""
         force, slope, velocity = self._law
         pulled = np.zeros(self._size)
         pulled[self.free] = force + slope @ velocity
@@ -344,14 +345,14 @@ class MujocoJoint(Joint):
         data, body = self._data, self._unmoved
         position, turned = self._base_pose
         pose = data.time, position.tobytes(), turned.tobytes()  # faster than lists
-        before = self._pose
-        self._pose = pose
+        before = self._base_before
+        self._base_before = pose
         if before is None or pose[0] <= before[0] or pose[1:] == before[1:]:
             return
         self._unmoved = 0
-        name = body_name(self._model, body)
+        name = name_of(self._model, body)
         warn(
-            f"{self._name}: base {self._base!r} follows the mocap body {name!r}, whose motion the "
+            f"{self.name}: base {self._base!r} follows the mocap body {name!r}, whose motion the "
             "tip does not feel. Give the base slides or a free joint, and "
             'hold it to the mocap body by <weld torquescale="10" '
             f'solref="{2 * float(self._model.opt.timestep):g} 1" solimp="0.9999 0.9999 0.001"/>',
@@ -419,8 +420,8 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
 
     stepped = [start for joint in joints for start in joint._starts]
     of_scene = _by_tip(joints[0]._data)
+    tips = ", ".join(repr(tip) for joint in joints for tip in joint._tips)
     if len(set(stepped)) < len(stepped):
-        tips = ", ".join(repr(tip) for joint in joints for tip in joint._tips)
         raise JointError(
             f"two of the joints at {tips} have the same tip, which can follow only one of them; "
             "pass each tip once"
@@ -428,7 +429,6 @@ def require_scene(joints: Sequence[MujocoJoint]) -> None:
     _require_present(joints, of_scene)
     if len(of_scene) > len(stepped):
         unstepped = dict.fromkeys(joint for at, joint in of_scene.items() if at not in stepped)
-        tips = ", ".join(repr(tip) for joint in joints for tip in joint._tips)
         missing = ", ".join(repr(tip) for joint in unstepped for tip in joint._tips)
         raise JointError(
             f"the scene has joints at the tips {tips} and {missing}: a step of one joint advances "
@@ -473,7 +473,7 @@ def pull(joints: Collection[MujocoJoint]) -> None:
             joint._with_part = None
     now = float(data.time)
     for joint in joints:
-        joint._read()
+        joint.read_scene()
         joint._steps.law(dt, joint.damping)
         joint._check_status()
     push(joints)
@@ -516,8 +516,8 @@ def _push_together(joints: Sequence[MujocoJoint]) -> None:
         slope = np.zeros((count, count))
         for block in joint._blocks:
             at = slice(first + block.start, first + block.stop)
-            rest = np.linalg.inv(pulled[at, at]) - np.linalg.inv(mobility[at, at])
-            slope[block, block] = (0.5 / dt) * (rest + rest.T)
+            added = np.linalg.inv(pulled[at, at]) - np.linalg.inv(mobility[at, at])
+            slope[block, block] = (0.5 / dt) * (added + added.T)
         joint._pull(wrench[:count] - slope @ velocity[first : first + count], slope, dt)
         wrench = wrench[count:]
     engine.mj_factorM(joints[0]._model, joints[0]._data)

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InvalidArgument
+from ..mujoco import Data, Model, engine
+from .joint import DAMPING
 from .joints import Joints
 from .mujoco_joint import MujocoJoint, advance, push, require_scene
-from .mujoco_scene import Data, Model, engine
 
 if TYPE_CHECKING:
     from ..table import Table
@@ -35,7 +36,7 @@ class MujocoJoints(Joints):
         table: Table,
         base: str = "base",
         tip: str = "tip",
-        damping: float = 0.02,
+        damping: float = DAMPING,
         *,
         bodies: Mapping[str, str] | None = None,
         interface: str | None = None,
@@ -56,9 +57,9 @@ class MujocoJoints(Joints):
         self.joints = [first, *(copy.copy(first) for _ in datas[1:])]
         self._model = model
         self._pool = ThreadPoolExecutor()
-        self._hold(first, len(datas), first._spin_axes)
+        self._hold(first, len(datas), first.spin_axes)
         for at, (joint, data) in enumerate(zip(self.joints, datas, strict=True)):
-            joint._watch(data, self._steps, at)
+            joint.attach(data, self._steps, at)
 
     @property
     def wrenches(self) -> np.ndarray:
@@ -97,14 +98,14 @@ class MujocoJoints(Joints):
         failed = np.any([batch.failed for batch in batches], axis=0)
         for batch in batches:
             for at in np.flatnonzero(batch.failed).tolist():
-                batch.joints[at]._lose_wrench()
+                batch.joints[at].lose_wrench()
         advanced = [joints for joints, stays in zip(scenes, failed, strict=True) if not stays]
         self._in_threads(self._end, advanced, threads)
 
     def _begin(self, joints: Sequence[MujocoJoint]) -> None:
         engine.mj_step1(self._model, joints[0]._data)
         for joint in joints:
-            joint._read()
+            joint.read_scene()
 
     def _end(self, joints: Sequence[MujocoJoint]) -> None:
         push(joints)

@@ -13,18 +13,19 @@ from wrenchbook.surrogate.kernel.binding import PackedTable
 
 from ...contract import OUTPUTS
 from ..errors import JointError
+from ..mujoco import engine
 from ..wrenches import Vector
-from .joint import FREEDOMS
+from .joint import DAMPING, FREEDOMS
 from .linear_part import LinearPart
-from .mujoco_scene import engine, refuse_one_locked_rotation
+from .mujoco_scene import refuse_one_locked_rotation
 
 Spec: TypeAlias = Any  # mujoco.MjSpec, and its bodies
 
 ROUNDING = 1e-9  # part of a freedom's largest coefficient: MuJoCo's XML has six digits
 # Relative error by which three such numbers may violate the inertia's triangle inequality.
 DIGITS = 2e-5
-_LEAST = 1e-9  # part of the largest moment of inertia: MuJoCo refuses a body without inertia
-_LEAST_GYRATION = 1e-6  # m^2, a radius of 1 mm: inertia of a mass without inertia
+_MIN_INERTIA = 1e-9  # part of the largest moment of inertia: MuJoCo refuses a body without inertia
+_MIN_GYRATION = 1e-6  # m^2, a radius of 1 mm: inertia of a mass without inertia
 
 
 def scene_with_joint(
@@ -58,7 +59,7 @@ def scene_with_springs(
     tip: str,
     springs: LinearPart,
     *,
-    damping: float = 0.02,
+    damping: float = DAMPING,
     site: str | None = None,
     mass: ArrayLike | None = None,
 ) -> str:
@@ -214,7 +215,7 @@ def _add_mass(body: Spec, mass: Vector) -> None:
     x, y, z = centre = np.array([cross[2, 1], cross[0, 2], cross[1, 0]])
     arm = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     moments, axes = np.linalg.eigh(mass[3:, 3:] + total * arm @ arm)
-    moments = np.maximum(moments, _LEAST * max(float(moments.max()), total * _LEAST_GYRATION))
+    moments = np.maximum(moments, _MIN_INERTIA * max(float(moments.max()), total * _MIN_GYRATION))
     # No rigid body has a moment above the sum of the other two.
     moments[2] = min(moments[2], (1.0 - DIGITS) * (moments[0] + moments[1]))
     if np.linalg.det(axes) < 0:

@@ -1,36 +1,29 @@
-"""The engine MuJoCo, and queries of its models: bodies by name, the joints of a tip."""
+"""Queries of MuJoCo's models for joints: bodies by name, the joints of a tip."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...contract import OUTPUTS
-from ..errors import JointError, JointWarning, required, warn
+from ..errors import JointError, JointWarning, warn
+from ..mujoco import OBJECT, Data, Model, engine, id_of, name_of, was_reset
 from ..wrenches import Vector
 
-Model: TypeAlias = Any  # mujoco.MjModel, mujoco.MjData: compiled, without types
-Data: TypeAlias = Any
-
-engine: Any = required("mujoco", "MujocoJoint", "'wrenchbook[mujoco]'")
-OBJECT = engine.mjtObj
-REMEDY = "make the scene with: wrenchbook joint NAME --base BODY --tip BODY scene.xml"
+_REMEDY = "make the scene with: wrenchbook joint NAME --base BODY --tip BODY scene.xml"
 _JOINT = engine.mjtJoint
-# Largest deviation of the slides' axes from unit and orthogonal: six digits in MuJoCo's XML.
-_SQUARE = 1e-5
+_AXES_TOLERANCE = 1e-5  # from unit and orthogonal: MuJoCo's XML has six digits
+_OLDEST = (3, 17)  # MuJoCo's version: constraints in 3.3.7 ignore additions to the mass matrix
 # A plain int: a comparison with an enumeration takes 0.8 us.
 _RK4 = int(engine.mjtIntegrator.mjINT_RK4)
-_UNSTABLE = tuple(
-    getattr(engine.mjtWarning, f"mjWARN_BAD{name}") for name in ("QPOS", "QVEL", "QACC")
-)
 
 
 def warn_unstable(data: Data, name: str) -> bool:
     """Warn if MuJoCo has reset a scene because it was unstable; return whether it has."""
-    is_unstable = any(data.warning[kind].number for kind in _UNSTABLE)
+    is_unstable = was_reset(data)
     if is_unstable:
         warn(
             f"{name}: MuJoCo has reset the unstable scene, and the simulation goes on from its "
@@ -39,6 +32,15 @@ def warn_unstable(data: Data, name: str) -> bool:
             JointWarning,
         )
     return is_unstable
+
+
+def require_version() -> None:
+    """Raise JointError if MuJoCo is older than `_OLDEST`."""
+    if tuple(int(number) for number in engine.__version__.split(".")[:2]) < _OLDEST:
+        raise JointError(
+            f"MujocoJoint needs MuJoCo 3.17 or newer, but version {engine.__version__} is "
+            "installed; run: pip install 'mujoco>=3.17'"
+        )
 
 
 def refuse_rk4(model: Model) -> None:
@@ -61,13 +63,10 @@ def refuse_one_locked_rotation(part: str, free: Collection[str]) -> None:
 
 
 def block_positions(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Return rows, columns and positions in MuJoCo's mass matrix of pairs of some freedoms."""
-    if [int(number) for number in engine.__version__.split(".")[:2]] < [3, 17]:
-        # Constraints in 3.3.7 ignore additions to the matrix.
-        raise JointError(
-            f"MujocoJoint needs MuJoCo 3.17 or newer, but version {engine.__version__} is "
-            "installed; run: pip install 'mujoco>=3.17'"
-        )
+    """Return the pairs of consecutive freedoms, (n,), that MuJoCo's mass matrix stores.
+
+    Three arrays, (pairs,): row and column among the n freedoms, and position in ``data.M``.
+    """
     entries = []
     for row, dof in enumerate(dofs.tolist()):
         start, count = int(model.M_rowadr[dof]), int(model.M_rownnz[dof])
@@ -78,8 +77,7 @@ def block_positions(model: Model, dofs: NDArray[np.intp]) -> list[NDArray[np.int
 
 def body_number(model: Model, name: str) -> int:
     """Return the number of a named body; raises JointError if there is none."""
-    # MuJoCo ends the process if a name is None.
-    number = engine.mj_name2id(model, OBJECT.mjOBJ_BODY, name) if isinstance(name, str) else -1
+    number = id_of(model, OBJECT.mjOBJ_BODY, name)
     if number < 0:
         names = [engine.mj_id2name(model, OBJECT.mjOBJ_BODY, k) for k in range(1, model.nbody)]
         known = ", ".join(repr(text) for text in names if text) or "none with a name"
@@ -87,17 +85,19 @@ def body_number(model: Model, name: str) -> int:
     return number
 
 
-def body_name(model: Model, number: int) -> str:
-    """Return the name of a body, or its number after ``#`` if it has none."""
-    return engine.mj_id2name(model, OBJECT.mjOBJ_BODY, int(number)) or f"#{number}"
+class PoseRun(NamedTuple):
+    """Consecutive numbers of a tip's pose, (7,): translation, m, and quaternion."""
+
+    start: int  # index in the pose
+    qpos: int  # index in MuJoCo's qpos
+    size: int
 
 
 class Tip(NamedTuple):
     """The joints of a tip's body in MuJoCo's arrays."""
 
     dof: int  # the first freedom
-    # Runs of numbers: index in the pose, (7,), index in qpos, count.
-    runs: list[tuple[int, int, int]]
+    runs: list[PoseRun]
     hinge: tuple[Vector, int] | None  # a single free rotation: its axis (3,), index in qpos
     ball_axes: Vector | None  # (3, 3), columns: the interface frame's axes in the tip's body
 
@@ -113,28 +113,28 @@ def find_tip(model: Model, body: str, free: NDArray[np.intp], part: str) -> Tip:
     slides = free[free < 3]
     turns = free[free >= 3]
     has_ball = len(turns) == 3
-    refuse_one_locked_rotation(part, [OUTPUTS[place] for place in free])
+    refuse_one_locked_rotation(part, [OUTPUTS[freedom] for freedom in free])
     turning = [] if not len(turns) else [_JOINT.mjJNT_BALL if has_ball else _JOINT.mjJNT_HINGE]
     expected = [int(kind) for kind in [_JOINT.mjJNT_SLIDE] * len(slides) + turning]
     present = [int(model.jnt_type[joint]) for joint in joints]
     if present != expected:
-        also = {0: "", 1: " and a hinge", 3: " and a ball"}[len(turns)]
+        also = {0: "", 1: " and a hinge", 3: " and a ball"}[len(turns)]  # 2: refused above
         actual = ", ".join(_JOINT(kind).name[6:].lower() for kind in present) or "no joint"
         raise JointError(
             f"body {body!r} must have {len(slides)} slides{also}, in this order, but it has "
-            f"{actual}; {REMEDY}"
+            f"{actual}; {_REMEDY}"
         )
     for joint in joints:
         _refuse_forces(model, body, joint)
 
     axes = _interface_axes(model.jnt_axis[joints], body, free)
-    places = model.jnt_qposadr[joints].tolist()
-    runs = [(slide, place, 1) for slide, place in zip(slides.tolist(), places, strict=False)]
+    qpos = model.jnt_qposadr[joints].tolist()
+    runs = [PoseRun(slide, qpos[k], 1) for k, slide in enumerate(slides.tolist())]
     if len(slides) == 3:  # all three in the order x, y, z
-        runs = [(0, places[0], 3)]
+        runs = [PoseRun(0, qpos[0], 3)]
     if has_ball:
-        runs.append((3, places[-1], 4))
-    hinge = (np.eye(3)[turns[0] - 3], places[-1]) if len(turns) == 1 else None
+        runs.append(PoseRun(3, qpos[-1], 4))
+    hinge = (np.eye(3)[turns[0] - 3], qpos[-1]) if len(turns) == 1 else None
     return Tip(int(model.jnt_dofadr[first]), runs, hinge, axes if has_ball else None)
 
 
@@ -152,7 +152,7 @@ def _refuse_forces(model: Model, body: str, joint: int) -> None:
         forces["a reference (ref)"] = model.qpos0[model.jnt_qposadr[joint]]
     present = [name for name, value in forces.items() if np.any(value)]
     if present:
-        name = engine.mj_id2name(model, OBJECT.mjOBJ_JOINT, joint) or f"#{joint}"
+        name = name_of(model, joint, OBJECT.mjOBJ_JOINT)
         raise JointError(
             f"joint {name!r} of body {body!r} has {' and '.join(present)}, which would add to the "
             "part's own; remove it (a default class may set it)"
@@ -166,19 +166,19 @@ def _interface_axes(joint_axes: Vector, body: str, free: NDArray[np.intp]) -> Ve
 
     Raises JointError if the slides have other axes.
     """
-    # A ball is one joint for three rotations.
-    axis_of = dict(zip(free.tolist(), joint_axes, strict=False))
-    slides = [axis for place, axis in axis_of.items() if place < 3]
+    # A ball, the last joint, stands for three rotations, and its axis has no meaning.
+    axis_of = dict(zip(free.tolist()[: len(joint_axes)], joint_axes, strict=True))
+    slides = [axis for freedom, axis in axis_of.items() if freedom < 3]
     # The nearest orthogonal matrix, by the polar decomposition.
     left, _, right = np.linalg.svd(np.array(slides).T if len(slides) == 3 else np.eye(3))
     axes = left @ right
     has_ball = int((free >= 3).sum()) == 3
-    along = [place for place in axis_of if place < 3 or not has_ball]
-    off = [np.abs(axis_of[place] - axes[:, place % 3]).max() for place in along]
-    if max(off, default=0.0) > _SQUARE or np.linalg.det(axes) < 0:
+    along = [freedom for freedom in axis_of if freedom < 3 or not has_ball]
+    deviations = [np.abs(axis_of[k] - axes[:, k % 3]).max() for k in along]
+    if max(deviations, default=0.0) > _AXES_TOLERANCE or np.linalg.det(axes) < 0:
         raise JointError(
             f"the joints of body {body!r} must have the axes x, y, z of the interface frame "
             "(with locked freedoms: of the body), unit, orthogonal and right-handed, not "
-            f"{joint_axes.round(6).tolist()}; {REMEDY}"
+            f"{joint_axes.round(6).tolist()}; {_REMEDY}"
         )
     return axes

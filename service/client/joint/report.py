@@ -1,18 +1,16 @@
-"""A summary of a joint's steps: coverage, error bars, energy, and axes that need more rows."""
+"""A summary of a joint's steps: coverage, error bars, energy, and loads that need more rows."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wrenchbook.surrogate.table.spread import FORCE_ERROR
 
-from ...contract import LOADS, OUTPUTS
-
-if TYPE_CHECKING:
-    from .joint import Joint
+from ..wrenches import Vector
 
 
 class LargestError(NamedTuple):
@@ -23,11 +21,11 @@ class LargestError(NamedTuple):
     time: float
 
 
-class StiffAxis(NamedTuple):
-    """A load whose error bar is more than 5 % of its half load range, `allowed`.
+class StiffLoad(NamedTuple):
+    """A load, N or N·m, whose error bar is above `allowed`: `FORCE_ERROR` of its half load range.
 
-    `output` is the displacement that contributes most to it; its bar should be `needed`, not
-    `tolerance`.
+    `output` is the displacement that contributes most to it. With an error bar of `needed`, m or
+    rad, there the load's would be `allowed`; `tolerance` is the table's own, None where unknown.
     """
 
     load: str
@@ -53,9 +51,10 @@ class JointReport:
     stored, energy_drift : float or None
         The energy that the part has taken up before its last step, and the change of that of a
         MuJoCo scene with its parts: without drives, damping and contacts the integration's error.
-    stiff : tuple of StiffAxis
-        Loads with error bars too large for a joint. `remedy` says what to do about these and about
-        steps that are not covered; it is empty if there are none.
+    stiff : tuple of StiffLoad
+        Loads with error bars too large for a joint.
+    remedy : str
+        What to do about stiff loads and steps that are not covered; empty without any.
     covered_at : dict of float
         Of several interfaces, by name: the fraction of steps whose wrench there is covered.
     """
@@ -68,28 +67,38 @@ class JointReport:
     wrench_error: dict[str, LargestError | None]
     stored: float | None
     energy_drift: float | None
-    stiff: tuple[StiffAxis, ...]
+    stiff: tuple[StiffLoad, ...]
     remedy: str
     covered_at: dict[str, float]
 
 
-def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) -> JointReport:
+class ReportedJoint(NamedTuple):
+    """The part of a joint with k interfaces: values of its 6 k freedoms, shape (6 k,)."""
+
+    name: str
+    interfaces: tuple[str, ...]  # (k,)
+    free: NDArray[np.intp]  # indices of the freedoms that the part does not lock
+    outputs: tuple[str, ...]
+    loads: tuple[str, ...]
+    load_scale: Vector  # half widths of the load range, N and N·m
+    tolerance: Vector  # m and rad, NaN where unknown
+    stiffness: Vector  # (6 k, 6 k) at the last step's pose, N/m to N·m/rad
+    remedy: str
+
+
+def report_of(
+    joint: ReportedJoint, history: NDArray[Any], began: float, energy_drift: float
+) -> JointReport:
     """Return the summary of a joint's steps, of which the first began at the time `began`, s.
 
-    `energy_drift`, J, is NaN if unknown.
+    `history` is the joint's entry of `JointSteps.history`; `energy_drift`, J, is NaN if unknown.
     """
-    history = joint._history
-    count = int(joint._history["steps"])
-    outputs = OUTPUTS
-    loads = LOADS
+    count = int(history["steps"])
+    covered = float(history["covered"]) / count if count else None
     covered_at = {}
-    if len(joint.interfaces) > 1:
-        space = joint._table.space
-        outputs = tuple(space.output_names[index] for index in joint._at)
-        loads = tuple(space.input_names[index] for index in joint._at)
-        if count:
-            fractions = (history["covered_at"] / count).tolist()
-            covered_at = dict(zip(joint.interfaces, fractions, strict=True))
+    if count and len(joint.interfaces) > 1:
+        fractions = (history["covered_at"] / count).tolist()
+        covered_at = dict(zip(joint.interfaces, fractions, strict=True))
 
     def largest(kind: str, names: tuple[str, ...]) -> dict[str, LargestError | None]:
         """Return the largest error bars by name; None where unknown."""
@@ -103,60 +112,45 @@ def report_of(joint: Joint, began: float = 0.0, energy_drift: float = np.nan) ->
             for k in joint.free.tolist()
         }
 
-    covered = float(history["covered"]) / count if count else None
-    stiff = _stiff_axes(joint, outputs, loads)
+    stiff = _stiff_loads(joint, history)
     is_uncovered = covered is not None and covered < 1.0
     return JointReport(
-        component=joint._name,
+        component=joint.name,
         steps=count,
         time=float(history["time"]),
         covered=covered,
-        pose_error=largest("pose_error", outputs),
-        wrench_error=largest("wrench_error", loads),
+        pose_error=largest("pose_error", joint.outputs),
+        wrench_error=largest("wrench_error", joint.loads),
         stored=float(history["stored"]) if count else None,
         energy_drift=energy_drift if np.isfinite(energy_drift) else None,
         stiff=stiff,
-        remedy=_remedy(joint) if stiff or is_uncovered else "",
+        remedy=joint.remedy if stiff or is_uncovered else "",
         covered_at=covered_at,
     )
 
 
-def _remedy(joint: Joint) -> str:
-    """Return how the table of a joint becomes accurate enough."""
-    remedy = joint._more_rows()
-    if joint._method is None and joint._packed.answers_by() == "linear":
-        remedy = "more solves do not help a linear part; use a finer mesh or nonlinear = true"
-    if joint._warned_beyond:
-        remedy = f"widen the load range, which a pose of the steps exceeds; {remedy}"
-    return remedy
-
-
-def _stiff_axes(
-    joint: Joint, outputs: tuple[str, ...], loads: tuple[str, ...]
-) -> tuple[StiffAxis, ...]:
+def _stiff_loads(joint: ReportedJoint, history: NDArray[Any]) -> tuple[StiffLoad, ...]:
     """Return the loads whose error bar exceeds the fraction `FORCE_ERROR` of half their range."""
-    history, packed = joint._history, joint._packed
-    allowed = FORCE_ERROR * packed.load_scale[joint._at]
-    tolerance = packed.arrays["space/tolerance"][joint._at]
-    moved = history["pose_error"]["value"].ravel()
-    pulled = history["wrench_error"]["value"].ravel()
-    # Contribution of each displacement to a load's error bar, by the stiffness of the last step.
-    added = np.nan_to_num(np.abs(joint._stiffness) * moved)
+    allowed = FORCE_ERROR * joint.load_scale
+    pose_error = history["pose_error"]["value"].ravel()
+    wrench_error = history["wrench_error"]["value"].ravel()
+    # Of each displacement to a load's error bar, by the stiffness of the last step.
+    contributions = np.nan_to_num(np.abs(joint.stiffness) * pose_error)
     # If nothing is known, the load's own displacement.
-    added += np.finfo(float).tiny * np.eye(len(moved))
-    axes = []
+    contributions += np.finfo(float).tiny * np.eye(len(pose_error))
+    stiff = []
     for load in joint.free.tolist():
-        if pulled[load] > allowed[load]:
-            output = int(added[load].argmax())
-            limit = float(tolerance[output])
-            axes.append(
-                StiffAxis(
-                    load=loads[load],
-                    error=float(pulled[load]),
+        if wrench_error[load] > allowed[load]:
+            output = int(contributions[load].argmax())
+            tolerance = float(joint.tolerance[output])
+            stiff.append(
+                StiffLoad(
+                    load=joint.loads[load],
+                    error=float(wrench_error[load]),
                     allowed=float(allowed[load]),
-                    output=outputs[output],
-                    needed=float(moved[output] * allowed[load] / pulled[load]),
-                    tolerance=None if np.isnan(limit) else limit,
+                    output=joint.outputs[output],
+                    needed=float(pose_error[output] * allowed[load] / wrench_error[load]),
+                    tolerance=None if np.isnan(tolerance) else tolerance,
                 )
             )
-    return tuple(axes)
+    return tuple(stiff)

@@ -21,31 +21,34 @@ from ..errors import CouplingDiverged, InvalidArgument
 from ..wrenches import Vector
 
 RELAXATIONS = ("aitken", "newton", "off")
-# Limits of the factor: 0.02 is stable for G = 99, 1 takes the answer itself.
-SMALLEST, LARGEST = 0.02, 1.0
+MIN_FACTOR, MAX_FACTOR = 0.02, 1.0  # 0.02 is stable for G = 99, 1 takes the answer itself
 GROWTH = 1.3  # of the factor without overshoot: slow, since only an overshoot shows a too large one
-# Signs of divergence: a row of residuals, each opposite to the one before. Loads that change by
-# themselves make such rows too, but short ones and of all sizes. White noise is opposite and as
-# large with a chance of 0.4: once in two million syncs over sixteen.
-OPPOSITE = -0.9  # the largest cosine between opposite residuals
-# Number in a row, none smaller than this part of the one before, and no decay over all.
-CYCLE, STEADY = 16, 0.8
-BURST, RECORD = 4, 1.5  # number in a row, and each one's ratio to the largest of the run so far
-# Signs of monotonic divergence: a scene that tips, or a Newton step by a stiffness of the wrong
-# sign. Loads may grow, but not by half each sync, `CYCLE` times in a row: 650 x.
-ONWARD = 0.9  # the smallest cosine between such residuals
-ABSURD = 1e100  # tolerances: beyond this squares overflow, and no test can decide
 # Tolerances: smaller residuals of a running simulation mean nothing. A load that rests on a row of
 # the table meets the row's own answer or, a rounding error beside it, the interpolated one: as
 # overshoots, such jumps reduced the factor to its smallest value, and the next load lagged by 12 %.
-RESTS = 1e-3
-DERIVED = 1e-3  # part of the largest answer so far: the tolerance if none is given
+MIN_RESIDUAL = 1e-3
+MAX_RESIDUAL = 1e100  # tolerances: beyond this squares overflow, and no test can decide
+DERIVED_TOLERANCE = 1e-3  # part of the largest answer so far: the tolerance if none is given
 
-# A limit cycle: in a span of 64 syncs answers have a period of 12 syncs or less, that is two turns,
-# and swing by more than 2 tolerances; more than 3 spans in a row do not become smaller.
-SPAN, LONGEST_PERIOD, SWING, SPANS = 64, 12, 2.0, 3
-UNEXPLAINED = 0.5  # part of the variance of answers in a cycle; noise leaves 0.7 and more
-BEYOND = 16  # syncs in a row with an answer beyond the limit: the load causes it, and no overshoot
+# Signs of divergence: a row of residuals, each opposite to the one before. Loads that change by
+# themselves make such rows too, but short ones and of all sizes. White noise is opposite and as
+# large with a chance of 0.4: once in two million syncs over sixteen.
+OPPOSITE_COSINE = -0.9  # the largest cosine between opposite residuals
+# Number in a row, none smaller than this part of the one before, and no decay over all.
+MAX_ROW, STEADY_RATIO = 16, 0.8
+# Number in a row, and each one's ratio to the largest of the run so far.
+MAX_GROWING_ROW, GROWING_RATIO = 4, 1.5
+# Signs of monotonic divergence: a scene that tips, or a Newton step by a stiffness of the wrong
+# sign. Loads may grow, but not by half each sync, `MAX_ROW` times in a row: 650 x.
+ONWARD_COSINE = 0.9  # the smallest cosine between such residuals
+# Syncs in a row with an answer beyond the limit: the load causes it, and no overshoot.
+MAX_BEYOND = 16
+
+# A limit cycle: in `CYCLE_SYNCS` answers have a period of `MAX_PERIOD` syncs or less, that is two
+# turns, and swing by more than `MIN_SWING` tolerances; more than `MAX_CYCLES` such spans in a row
+# do not become smaller.
+CYCLE_SYNCS, MAX_PERIOD, MIN_SWING, MAX_CYCLES = 64, 12, 2.0, 3
+MAX_UNEXPLAINED = 0.5  # part of the variance of answers in a cycle; noise leaves 0.7 and more
 LAGS = 4  # earlier answers in the autoregression of a cycle: enough for two oscillations
 
 REMEDY = (
@@ -96,15 +99,14 @@ class Scale:
     def _set(self, pair: ArrayLike) -> None:
         """Set a tolerance, m and rad; outputs with 0 are not measured."""
         self.tolerance: Vector = np.repeat(np.asarray(pair, dtype=float), 3)  # (6,), m and rad
-        per = np.zeros(6)
-        np.divide(1.0, self.tolerance, out=per, where=self.tolerance > 0.0)
-        self._per_unit = per
+        self._per_unit = np.zeros(6)  # tolerances per m and rad
+        np.divide(1.0, self.tolerance, out=self._per_unit, where=self.tolerance > 0.0)
 
-    def see(self, answer: Vector) -> None:
+    def update(self, answer: Vector) -> None:
         """Update the scale by an answer (6,), m and rad."""
         if not self._fixed:
             self._largest = np.maximum(self._largest, np.abs(answer).reshape(2, 3).max(axis=1))
-            self._set(DERIVED * self._largest)
+            self._set(DERIVED_TOLERANCE * self._largest)
 
     def measure(self, change: Vector) -> Vector:
         """Return a change of displacement (6,), m and rad, in tolerances."""
@@ -133,12 +135,12 @@ class Relaxation:
             )
         fixed = {"aitken": None, "newton": 1.0, "off": 1.0}
         self._fixed = fixed[relaxation] if isinstance(relaxation, str) else float(relaxation)
-        self.start = LARGEST
+        self.start = MAX_FACTOR
         self.restart()
 
-    def begin_at(self, factor: float) -> None:
+    def restart_at(self, factor: float) -> None:
         """Restart with another first factor; a fixed one stays."""
-        self.start = min(max(factor, SMALLEST), LARGEST)
+        self.start = min(max(factor, MIN_FACTOR), MAX_FACTOR)
         self.restart()
 
     def restart(self) -> None:
@@ -148,7 +150,7 @@ class Relaxation:
         self._watch = ContractionWatch()
         self._turned = False
 
-    def follow(self, residual: Vector, *, driven: bool) -> float:
+    def next_factor(self, residual: Vector, *, driven: bool) -> float:
         """Return the fraction of a residual (6,), in tolerances, by which the pose moves.
 
         `driven` loads change by themselves, as they do in time. A smooth load changes its sign once
@@ -159,9 +161,9 @@ class Relaxation:
         """
         before = self._before
         size = math.hypot(*residual.tolist())
-        if not size < ABSURD:
+        if not size < MAX_RESIDUAL:
             raise _run_away(self._watch.size, size)
-        rests = driven and min(size, self._watch.size) <= RESTS
+        rests = driven and min(size, self._watch.size) <= MIN_RESIDUAL
         along = 0.0 if before is None or rests else float(residual @ before)
         watch = self._watch.updated(size, along)
         turned = along < 0.0
@@ -170,8 +172,8 @@ class Relaxation:
             if turned and (self._turned or not driven):  # Aitken's next factor
                 change = residual - before
                 grown = -self.factor * float(before @ change) / float(change @ change)
-                grown = max(grown, SMALLEST)
-            self.factor = min(grown, LARGEST)
+                grown = max(grown, MIN_FACTOR)
+            self.factor = min(grown, MAX_FACTOR)
         self._before = residual
         self._watch = watch
         self._turned = turned
@@ -190,27 +192,27 @@ class ContractionWatch:
     onward: int = 0  # residuals in a row in one direction and far larger than all before
 
     def updated(self, size: float, along: float) -> ContractionWatch:
-        """Return the watch after a residual, of the product `along` with the one before.
+        """Return the watch after a residual; `along` is its scalar product with the one before.
 
         Raises CouplingDiverged if the row of such residuals is too long.
         """
-        opposite = along < OPPOSITE * size * self.size
-        steady = self.steady + 1 if opposite and size >= STEADY * self.size else 0
-        records = self.records + 1 if opposite and size >= RECORD * self.largest else 0
-        further = along > ONWARD * size * self.size and size >= RECORD * self.largest
+        opposite = along < OPPOSITE_COSINE * size * self.size
+        steady = self.steady + 1 if opposite and size >= STEADY_RATIO * self.size else 0
+        records = self.records + 1 if opposite and size >= GROWING_RATIO * self.largest else 0
+        further = along > ONWARD_COSINE * size * self.size and size >= GROWING_RATIO * self.largest
         onward = self.onward + 1 if further else 0
 
         # Residuals within the tolerance do not count.
         first = self.first if steady > 1 else self.size
-        if size > 1.0 and (records >= BURST or (steady >= CYCLE and size >= first)):
-            growth = "grows" if records >= BURST else "does not decay"
+        if size > 1.0 and (records >= MAX_GROWING_ROW or (steady >= MAX_ROW and size >= first)):
+            growth = "grows" if records >= MAX_GROWING_ROW else "does not decay"
             raise CouplingDiverged(
                 "the coupling diverges: the pose has overshot the answer "
                 f"{max(steady, records)} times in a row, and their distance, {size:.3g} "
                 f"tolerances, {growth}. {REMEDY}",
                 (self.size, size),
             )
-        if size > 1.0 and onward >= CYCLE:
+        if size > 1.0 and onward >= MAX_ROW:
             raise _run_away(self.size, size)
         return ContractionWatch(size, max(size, self.largest), steady, records, first, onward)
 
@@ -223,15 +225,15 @@ class CycleWatch:
     """
 
     def __init__(self) -> None:
-        self._answers: Vector = np.empty((SPAN, 6))
+        self._answers: Vector = np.empty((CYCLE_SYNCS, 6))
         self._count = self._swings = 0
         self._spread = 0.0
 
-    def see(self, answer: Vector) -> None:
-        """Record an answer (6,), in tolerances; raises CouplingDiverged after `SPANS` swings."""
+    def record(self, answer: Vector) -> None:
+        """Record an answer (6,), in tolerances; raises CouplingDiverged for a cycle."""
         self._answers[self._count] = answer
         self._count += 1
-        if self._count < SPAN:
+        if self._count < CYCLE_SYNCS:
             return
 
         self._count = 0
@@ -242,21 +244,21 @@ class CycleWatch:
         answers = self._answers[:, output]
         slopes = np.diff(answers)
         turns = int((slopes[1:] * slopes[:-1] < 0.0).sum())
-        swings = self._spread > SWING and LONGEST_PERIOD * turns >= 2 * SPAN
+        swings = self._spread > MIN_SWING and MAX_PERIOD * turns >= 2 * CYCLE_SYNCS
         if swings:
             # Answers of a cycle follow from earlier ones, unlike noise: by an autoregression.
             earlier = [answers[k : k - LAGS] for k in range(LAGS)]
             model = np.stack([*earlier, np.ones(len(answers) - LAGS)], axis=1)
             factors, *_ = np.linalg.lstsq(model, answers[LAGS:], rcond=None)
             unexplained = answers[LAGS:] - model @ factors
-            swings = float(unexplained.var()) < UNEXPLAINED * float(answers.var())
+            swings = float(unexplained.var()) < MAX_UNEXPLAINED * float(answers.var())
 
-        self._swings = self._swings + 1 if swings and self._spread >= STEADY * before else 0
-        if self._swings > SPANS:
+        self._swings = self._swings + 1 if swings and self._spread >= STEADY_RATIO * before else 0
+        if self._swings > MAX_CYCLES:
             raise CouplingDiverged(
-                f"the coupling does not settle: for {self._swings * SPAN} syncs the answers have "
-                f"oscillated by {self._spread:.3g} tolerances. Use a shorter sync, or for parts in "
-                f"contact or motion wrenchbook.MujocoJoint. {REMEDY}"
+                f"the coupling does not settle: for {self._swings * CYCLE_SYNCS} syncs the answers "
+                f"have oscillated by {self._spread:.3g} tolerances. Use a shorter sync, or for "
+                f"parts in contact or motion wrenchbook.MujocoJoint. {REMEDY}"
             )
 
 

@@ -27,7 +27,7 @@ from ..wrenches import (
     tolerance_body,
 )
 from .coupling import (
-    BEYOND,
+    MAX_BEYOND,
     CycleWatch,
     Relaxation,
     Scale,
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 Pose = tuple[Vector, Vector]
 
 GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, z up
-CONTRADICTS = 0.5  # part of the weight: an error of this size is neither noise nor a slow motion
+MAX_WEIGHT_ERROR = 0.5  # part of the weight: a larger one is neither noise nor a slow motion
 
 MODES = ("table", "solve", "record", "envelope")
 _MEANS = {
@@ -348,21 +348,21 @@ class Mount:
             return self.pose
         answer, target = self._answer(wrench)
         if target is not None:
-            self._scale.see(target)
+            self._scale.update(target)
             residual = target - self.displacement
             slopes = self._newton_slopes(answer) if self._newton else None
-            factor = self._relaxation.follow(self._scale.measure(residual), driven=True)
+            factor = self._relaxation.next_factor(self._scale.measure(residual), driven=True)
             change = factor * residual if slopes is None else newton_step(*slopes, residual)
             moved = within_limit(self.displacement + change)
 
-            self._cycles.see(self._scale.measure(target))
+            self._cycles.record(self._scale.measure(target))
             self._beyond = 0 if within_limit(target) is target else self._beyond + 1
-            if self._beyond > BEYOND:
+            if self._beyond > MAX_BEYOND:
                 require_within_limit(target, self.component)
             self.displacement = moved
             self._extrapolated = answer.coverage == "outside"
         self._lost = self._lost + 1 if target is None and self._extrapolated else 0
-        if self._lost > BEYOND:
+        if self._lost > MAX_BEYOND:
             raise without_answers(self._lost, self.component)
 
         self.last = answer
@@ -506,7 +506,7 @@ class Mount:
         if unprimed and self._stiffness is not None and answer.derivative is not None:
             # Half of the stability limit stops the stiffest direction in one step: 1/(1 + G).
             factor = 0.5 * stable_factor(np.nan_to_num(answer.derivative), self._stiffness)
-            self._relaxation.begin_at(factor)
+            self._relaxation.restart_at(factor)
             self._primed = True
         return answer, target
 
@@ -559,7 +559,7 @@ def require_weight(
     Raises
     ------
     SensorError
-        If the force along gravity is turned round, missing, or off by more than half the weight.
+        If the force along gravity is reversed, missing, or off by more than half the weight.
     """
     pull = float(mass) * np.asarray(gravity, dtype=float)
     weight = float(np.linalg.norm(pull))
@@ -568,16 +568,16 @@ def require_weight(
     local = np.asarray(force, dtype=float)
     world = local if axes is None else np.asarray(axes, dtype=float) @ local
     along = float(world @ pull) / weight**2  # the right value is 1
-    if abs(along - 1.0) <= CONTRADICTS:
+    if abs(along - 1.0) <= MAX_WEIGHT_ERROR:
         return
     text = f"at rest {mass:.6g} kg weigh {weight:.6g} N, but the reading has {along * weight:.6g} N"
-    if abs(along + 1.0) <= CONTRADICTS:
+    if abs(along + 1.0) <= MAX_WEIGHT_ERROR:
         raise SensorError(
             f"the wrench has the opposite sign: {text} along gravity. It must act ON the "
             "component, but sensors report the action of the parent on the child; convert with "
             "from_mujoco, from_pybullet or from_drake with component='parent'"
         )
-    if abs(along) <= CONTRADICTS:
+    if abs(along) <= MAX_WEIGHT_ERROR:
         raise SensorError(
             f"the reading does not contain the scene's weight: {text} along gravity. Attach the "
             "system as a child without a joint (a free joint reads 0), and evaluate the sensors "

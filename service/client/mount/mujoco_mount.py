@@ -7,12 +7,13 @@ tests/service/client has a scene for each.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InvalidArgument, MountWarning, SensorError, required, warn
+from ..errors import InvalidArgument, MountWarning, SensorError, warn
+from ..mujoco import OBJECT, Data, Model, engine, id_of, name_of, was_reset
 from ..wrenches import Vector
 from .mount import Mount, from_world, require_weight
 from .statics import Settled
@@ -20,11 +21,7 @@ from .statics import Settled
 if TYPE_CHECKING:
     from .. import Client, Table
 
-Model: TypeAlias = Any  # mujoco.MjModel, mujoco.MjData: compiled, without types
-Data: TypeAlias = Any
-
-engine: Any = required("mujoco", "MujocoMount", "'wrenchbook[mujoco]'")
-_OBJECT, _DISABLE = engine.mjtObj, engine.mjtDisableBit
+_DISABLE = engine.mjtDisableBit
 _REMEDY = (
     'attach the rigid system to the mocap body without a joint, <body name="base" mocap="true"> '
     '<body name="mounted"> <site name="mount"/> ... </body> </body>, with <force site="mount"/> '
@@ -32,11 +29,6 @@ _REMEDY = (
 )
 _ROUNDING = 1e-3  # relative: a sync of one step may be written with fewer digits than the step
 _NAMED = 5  # bodies in a message: more would hide its remedy
-_UNSTABLE = (
-    engine.mjtWarning.mjWARN_BADQPOS,
-    engine.mjtWarning.mjWARN_BADQVEL,
-    engine.mjtWarning.mjWARN_BADQACC,
-)
 
 
 class MujocoMount:
@@ -163,7 +155,7 @@ class MujocoMount:
         """
         now = self._data.time
         if now < self._now:  # the user, or MuJoCo after an instability, has reset the scene
-            if any(self._data.warning[kind].number for kind in _UNSTABLE):
+            if was_reset(self._data):
                 raise SensorError(
                     "MuJoCo has reset the unstable scene. See its warnings; use a smaller "
                     "timestep, a softer contact or a slower mount, then reset and restart()"
@@ -265,7 +257,7 @@ class _Division:
 
 def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
     """Return the division of a scene; raises SensorError if its sensors read another wrench."""
-    body = _named(model, _OBJECT.mjOBJ_BODY, mocap, "body")
+    body = _named(model, OBJECT.mjOBJ_BODY, mocap, "body")
     number = int(model.body_mocapid[body])
     if number < 0:
         raise SensorError(f"body {mocap!r} is not a mocap body; {_REMEDY}")
@@ -289,7 +281,7 @@ def _division(model: Model, mocap: str, force: str, torque: str) -> _Division:
 
 def _check_mounted(model: Model, mocap: int, mounted: int) -> None:
     """Refuse a body that is no child of the mocap body without joints, or not its only child."""
-    name, parent = _name(model, mounted), _name(model, mocap)
+    name, parent = name_of(model, mounted), name_of(model, mocap)
     first = model.body_jntadr[mounted]
     kinds = model.jnt_type[first : first + model.body_jntnum[mounted]]
     if (kinds == engine.mjtJoint.mjJNT_FREE).any():
@@ -354,9 +346,9 @@ def _check_forces(model: Model, body: int, mounted: int) -> None:
     """Refuse equality constraints at the mocap body; warn of forces that no sensor reads."""
     holding = [int(kind) for kind in (engine.mjtEq.mjEQ_WELD, engine.mjtEq.mjEQ_CONNECT)]
     for number in np.flatnonzero(np.isin(model.eq_type, holding)).tolist():
-        name = _name(model, number, _OBJECT.mjOBJ_EQUALITY)
+        name = name_of(model, number, OBJECT.mjOBJ_EQUALITY)
         ends = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
-        if model.eq_objtype[number] == _OBJECT.mjOBJ_SITE:
+        if model.eq_objtype[number] == OBJECT.mjOBJ_SITE:
             ends = [int(model.site_bodyid[end]) for end in ends]
         if body in ends:
             raise SensorError(
@@ -370,7 +362,7 @@ def _check_forces(model: Model, body: int, mounted: int) -> None:
         kind, target = model.actuator_trntype[number], model.actuator_trnid[number]
         at_site = kind == engine.mjtTrn.mjTRN_SITE and target[1] < 0
         if at_site and hanging[model.site_bodyid[target[0]]]:
-            unfelt.append(f"actuator {_name(model, number, _OBJECT.mjOBJ_ACTUATOR)!r} at a site")
+            unfelt.append(f"actuator {name_of(model, number, OBJECT.mjOBJ_ACTUATOR)!r} at a site")
     if model.opt.density > 0.0 or model.opt.viscosity > 0.0:
         unfelt.append("the medium's drag (density, viscosity)")
     if unfelt:
@@ -392,7 +384,7 @@ def _hangs_on(model: Model, mounted: int) -> NDArray[np.bool_]:
 
 def _sensor(model: Model, name: str, kind: int, word: str) -> tuple[slice, int]:
     """Return a sensor's numbers and its site."""
-    number = _named(model, _OBJECT.mjOBJ_SENSOR, name, "sensor")
+    number = _named(model, OBJECT.mjOBJ_SENSOR, name, "sensor")
     if model.sensor_type[number] != kind:
         raise SensorError(f"sensor {name!r} must be a {word} sensor; {_REMEDY}")
     filters = [
@@ -411,10 +403,9 @@ def _sensor(model: Model, name: str, kind: int, word: str) -> tuple[slice, int]:
 
 def _named(model: Model, kind: int, name: str, word: str) -> int:
     """Return the number of a named object; raises SensorError with the existing names."""
-    # MuJoCo ends the process if a name is None.
-    number = engine.mj_name2id(model, kind, name) if isinstance(name, str) else -1
+    number = id_of(model, kind, name)
     if number < 0:
-        count = model.nbody if kind == _OBJECT.mjOBJ_BODY else model.nsensor
+        count = model.nbody if kind == OBJECT.mjOBJ_BODY else model.nsensor
         names = [text for k in range(count) if (text := engine.mj_id2name(model, kind, k))]
         raise SensorError(
             f"the scene has no {word} {name!r}; it has {', '.join(map(repr, names)) or 'none'}; "
@@ -425,8 +416,4 @@ def _named(model: Model, kind: int, name: str, word: str) -> int:
 
 def _names(model: Model, bodies: Vector | NDArray[np.bool_]) -> str:
     """Return the names of the first bodies of a mask, (bodies,)."""
-    return ", ".join(repr(_name(model, body)) for body in np.flatnonzero(bodies)[:_NAMED])
-
-
-def _name(model: Model, number: int, kind: int = _OBJECT.mjOBJ_BODY) -> str:
-    return engine.mj_id2name(model, kind, int(number)) or f"#{number}"
+    return ", ".join(repr(name_of(model, body)) for body in np.flatnonzero(bodies)[:_NAMED])

@@ -45,7 +45,7 @@ def warn_if_ringing(
     ramp_time: float | None,
     carried: float | ArrayLike | None,
 ) -> None:
-    """Warn if loads rise, in `ramp_time`, s, too fast for answers at rest.
+    """Warn if loads rise within `ramp_time`, s, too fast for answers at rest.
 
     By default a server gives the first natural frequency, Hz.
 
@@ -86,7 +86,7 @@ def warn_if_ringing(
 
 
 def _largest_vibration(periods: float) -> float:
-    """Return the amplitude that a linear rise over `periods` leaves, as a share of the step.
+    """Return the amplitude that a linear rise over `periods` leaves, as a fraction of the step.
 
     An undamped oscillator keeps |sin(pi n)| / (pi n) after a rise of n periods, 1 after a sudden
     step (Chopra, Dynamics of Structures, "Step force with finite rise time"); this is its envelope.

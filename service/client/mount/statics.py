@@ -12,8 +12,8 @@ from ..replies import Displacement
 from ..wrenches import Vector
 from .coupling import REMEDY, Relaxation, Scale, spectral_radius
 
-ATTEMPTS = 6  # with a Newton step, each with half of the last: from the whole to 1/32
-RUNAWAY = 6  # residuals in a row that grow in the same direction: no equilibrium ahead
+MAX_ATTEMPTS = 6  # with a Newton step, each with half of the last: from the whole to 1/32
+MAX_RUNAWAY = 6  # residuals in a row that grow in the same direction: no equilibrium ahead
 STEP = 1.0  # tolerances: motion of a scene for its stiffness by differences
 STEP_WITHOUT_TOLERANCE = 1e-9  # m or rad: the same, and a tolerance, before answers give one
 
@@ -101,7 +101,7 @@ class Loop:
             )
         wrench = self.read(displacement)
         answer, answered = self.ask(wrench)
-        self.scale.see(answered)
+        self.scale.update(answered)
         residual = answered - displacement
         scaled = self.measure(residual)
         self.residuals.append(self.size(residual))
@@ -115,14 +115,14 @@ def by_relaxation(loop: Loop, start: Vector, relaxation: Relaxation) -> Coupling
     runaway = 0
     while state.size > loop.accuracy:
         try:
-            factor = relaxation.follow(state.scaled, driven=False)
+            factor = relaxation.next_factor(state.scaled, driven=False)
         except CouplingDiverged as error:
             raise CouplingDiverged(str(error), loop.residuals) from None
         before = state
         state = loop.evaluate(state.displacement + factor * state.residual)
         same_way = float(loop.measure(before.residual) @ state.scaled) > 0
         runaway = runaway + 1 if same_way and state.size > loop.size(before.residual) else 0
-        if runaway == RUNAWAY:
+        if runaway == MAX_RUNAWAY:
             raise CouplingDiverged(
                 "the scene has no equilibrium on this component: it tips or buckles, and pose and "
                 f"answer are {state.size:.3g} tolerances apart. Use a stiffer component, a smaller "
@@ -195,7 +195,7 @@ def by_newton(
 
         fraction = 1.0  # the part of the step that leads nearer
         before = state
-        for _ in range(ATTEMPTS):
+        for _ in range(MAX_ATTEMPTS):
             state = loop.evaluate(before.displacement + fraction * step)
             if state.size < loop.size(before.residual) or state.size <= loop.accuracy:
                 break

@@ -16,7 +16,7 @@
 enum { TRANSLATIONS = 3, AN_INTERFACE = 6 };
 
 /* First value reference of each kind of variable; those of the inputs begin with 0.
- * service/fmu/export.py writes the same into modelDescription.xml. */
+ * service/fmu/description.py writes the same into modelDescription.xml. */
 typedef struct {
     fmi2ValueReference output, error, coverage, tolerance, within;
 } fmu_references;

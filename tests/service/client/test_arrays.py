@@ -233,6 +233,20 @@ def test_a_wrench_that_is_not_finite_is_outside(on):
     assert np.isnan(np.asarray(own.derivative(asked))).all()
 
 
+@pytest.mark.parametrize("shape", [(0, 6), (3, 0, 6)])
+def test_an_empty_batch_has_empty_answers(on, shape):
+    own = on.evaluator(downloaded("solved"), "kriging")
+    moved, error, coverage = on.answers(own, np.zeros(shape))
+    assert (moved.shape, error.shape, coverage.shape) == (shape, shape, shape[:-1])
+    assert own.derivative(np.zeros(shape)).shape == (*shape, 6)
+    assert own.inverse(np.zeros(shape)).shape == shape
+
+
+def test_the_host_answers_an_empty_batch():
+    moved, error, coverage = arrays.Host(downloaded("solved"), None, None).answers(np.zeros((0, 6)))
+    assert (moved.shape, error.shape, coverage.shape) == ((0, 6), (0, 6), (0,))
+
+
 def test_another_method_and_wrenches_of_another_length_are_refused(on):
     with pytest.raises(InvalidArgument, match="unknown method 'guess'"):
         on.evaluator(downloaded("solved"), "guess")

@@ -206,7 +206,7 @@ def test_the_part_adds_nothing_to_the_rate_of_linear_and_angular_momentum():
     mujoco.mj_forward(model, free)
     data2 = mujoco.MjData(model)
     data2.qpos[:], data2.qvel[:] = data.qpos, data.qvel
-    joint._watch(data2, joint._steps, 0)
+    joint.attach(data2, joint._steps, 0)
     joint.step()
     with_part = data2.qacc - free.qacc
     moved, turned, force = np.zeros(3), np.zeros(3), np.zeros(3)

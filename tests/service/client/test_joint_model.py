@@ -12,7 +12,7 @@ from tests import shipped_checks
 from tests.service.client.joint_scenes import linear_table, mujoco
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.service.cli.joint import _moving
+from wrenchbook.service.cli.joint import _tip_interface
 from wrenchbook.service.client.joint import JointError
 from wrenchbook.service.client.joint.mujoco_joint import MujocoJoint
 from wrenchbook.service.client.joint.mujoco_model import scene_with_joint
@@ -54,7 +54,7 @@ def test_the_slides_are_the_axes_of_the_site(path):
     joint = MujocoJoint(model, data, linear_table())
     frame = np.zeros(9)
     mujoco.mju_quat2Mat(frame, model.site("flange").quat)
-    np.testing.assert_allclose(joint._spin_axes, frame.reshape(3, 3), atol=1e-5)
+    np.testing.assert_allclose(joint.spin_axes, frame.reshape(3, 3), atol=1e-5)
     np.testing.assert_allclose(model.jnt_pos[1:], [[0.1, 0, 0]] * 4, atol=1e-6)
 
 
@@ -120,7 +120,7 @@ def test_the_shipped_bars_mass_and_frequency_are_those_of_its_check():
 def test_the_mass_of_a_link_is_that_of_the_end_that_moves():
     facts = json.loads((SHIPPED / "link" / "check.json").read_text())
     facts["interfaces"] = {"left": {"held": True}, "right": {"held": False}}
-    mass = np.array(_moving("link", facts)[1])
+    mass = np.array(_tip_interface("link", facts)[1])
     assert mass.shape == (6, 6)
     assert (np.linalg.eigvalsh(mass) > 0).all()
     assert mass[0, 0] < facts["vibration"]["mass"]
@@ -129,16 +129,23 @@ def test_the_mass_of_a_link_is_that_of_the_end_that_moves():
 def test_each_of_several_interfaces_has_its_own_mass_and_must_be_named():
     matrix = np.diag(np.arange(12.0)).tolist()
     facts = {"interfaces": {"left": {}, "right": {}}, "vibration": {"condensed_mass": matrix}}
-    assert np.diag(_moving("beam", facts, "left")[1]).tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert np.diag(_tip_interface("beam", facts, "left")[1]).tolist() == [
+        0.0,
+        1.0,
+        2.0,
+        3.0,
+        4.0,
+        5.0,
+    ]
     with pytest.raises(typer.BadParameter, match="beam moves at left, right"):
-        _moving("beam", facts)
+        _tip_interface("beam", facts)
     with pytest.raises(typer.BadParameter, match="has no interface 'top' that moves; it moves at"):
-        _moving("beam", facts, "top")
+        _tip_interface("beam", facts, "top")
 
 
 def test_an_interface_of_a_part_with_a_single_one_is_refused():
     with pytest.raises(typer.BadParameter, match="leave --interface"):
-        _moving("bar", {}, "end")
+        _tip_interface("bar", {}, "end")
 
 
 def test_a_keyframe_has_the_new_freedoms_at_their_place(path):

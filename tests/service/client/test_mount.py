@@ -31,9 +31,8 @@ from wrenchbook.service.client.mount import (
     Mount,
     MountWarning,
     SensorError,
-    require_weight,
 )
-from wrenchbook.service.client.mount.mount import Coverage, from_world
+from wrenchbook.service.client.mount.mount import Coverage, from_world, require_weight
 from wrenchbook.service.client.mount.ringing import first_frequency
 
 TURNED = Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix()

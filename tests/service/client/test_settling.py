@@ -8,13 +8,8 @@ from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from tests.service.client.answers import LinearTable, bar_compliance
-from wrenchbook.service.client.mount import (
-    CouplingDiverged,
-    Mount,
-    MountWarning,
-    spectral_radius,
-    stable_factor,
-)
+from wrenchbook.service.client.mount import CouplingDiverged, Mount, MountWarning
+from wrenchbook.service.client.mount.coupling import spectral_radius, stable_factor
 
 WEIGHT = np.array([0.0, 0.0, -40.0])  # N, at the end of a lever
 LEVER = np.array([0.3, 0.1, 0.05])  # m, from the bar's end, turning with it

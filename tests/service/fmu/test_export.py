@@ -13,16 +13,10 @@ from typer import BadParameter
 from tests.service.fmu.made import LOADS, OUTPUTS, Opened, need_compiler, packed
 from tests.service.live import FULL, add_table, as_rows, full_wrenches, moved, served, tangents
 from wrenchbook.service.cli.main import app
-from wrenchbook.service.fmu import export
-from wrenchbook.service.fmu.export import (
-    FLAGS,
-    Fmu,
-    NotExportableError,
-    describe,
-    identifier_of,
-    make_fmu,
-    make_library,
-)
+from wrenchbook.service.fmu import platforms
+from wrenchbook.service.fmu.description import describe, identifier_of
+from wrenchbook.service.fmu.export import Fmu, NotExportableError, make_fmu, make_library
+from wrenchbook.service.fmu.platforms import FLAGS
 from wrenchbook.surrogate.answer import UnknownMethodError
 from wrenchbook.surrogate.build import build
 from wrenchbook.surrogate.kernel.build import KernelBuildError
@@ -61,6 +55,20 @@ def test_the_description_of_one_interface_is_the_stored_one():
     summary = "table version 1, 38 rows, method kriging"
     written = (Path(__file__).parent / "modelDescription.xml").read_bytes()
     assert describe("plate", "{0}", "wrenchbook 1", summary) == written
+
+
+def test_initial_coverage_and_judgement_depend_on_the_tolerances_too():
+    root = ElementTree.fromstring(describe("bar", "{}", "wrenchbook", "version 1"))
+    names = [variable.get("name") for variable in root.iter("ScalarVariable")]
+    tolerances = {"tolerance_translation", "tolerance_rotation"}
+    depends = {}
+    for unknown in root.iterfind("ModelStructure/InitialUnknowns/Unknown"):
+        knowns = {names[int(index) - 1] for index in unknown.get("dependencies", "").split()}
+        depends[names[int(unknown.get("index", "")) - 1]] = knowns - set(names[:6])
+    judged = {"coverage": tolerances, "within_tolerance": tolerances}
+    assert depends == {name: set() for name in names[6:18]} | judged
+    for unknown in root.iterfind("ModelStructure/Outputs/Unknown"):
+        assert unknown.get("dependencies") == "1 2 3 4 5 6"
 
 
 def test_variables_of_several_interfaces_have_the_names_and_units_of_the_space():
@@ -107,7 +115,7 @@ def test_without_a_compiler_the_fmu_holds_sources_that_compile_elsewhere(
     with monkeypatch.context() as patch:
         patch.setenv("PATH", "")
         patch.delenv("CC", raising=False)
-        patch.setattr(export.build.importlib.util, "find_spec", lambda name: None)
+        patch.setattr(platforms.build.importlib.util, "find_spec", lambda name: None)
         created = make_fmu("plate-2", packed(table))
     assert created.platforms == ()
     result = Opened(created, tmp_path)
@@ -147,7 +155,7 @@ def test_a_compiler_that_fails_is_told_with_what_it_said(table, tmp_path, monkey
     broken.write_text("#!/bin/sh\necho 'out of registers' >&2\nexit 1\n")
     broken.chmod(0o755)
     monkeypatch.setenv("CC", str(broken))
-    export._compiled.cache_clear()
+    platforms._compiled.cache_clear()
     with pytest.raises(KernelBuildError, match="out of registers"):
         make_fmu("plate", packed(table))
 

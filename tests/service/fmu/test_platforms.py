@@ -19,14 +19,15 @@ from tests.service.fmu.made import BARS, LOADS, OUTPUTS, Opened, packed, wrenche
 from tests.service.stub_server import Answer, running_stub
 from tests.slow import slow
 from wrenchbook.service.cli.main import app
-from wrenchbook.service.fmu import export
-from wrenchbook.service.fmu.export import PLATFORMS, make_fmu, platforms_of, universal
+from wrenchbook.service.fmu import platforms
+from wrenchbook.service.fmu.export import Fmu, make_fmu
+from wrenchbook.service.fmu.platforms import PLATFORMS, platforms_of, universal
 from wrenchbook.surrogate.kernel.build import KernelBuildError
 from wrenchbook.surrogate.packed.writer import pack
 
 X86_64, ARM64 = 0x01000007, 0x0100000C  # processors of Mach-O
 LINKERS = {"__dso_handle", "_mh_dylib_header"}  # symbols that the linker of ziglang defines
-HEADER = Path(export.__file__).parent / "c" / "fmi2Functions.h"
+HEADER = Path(platforms.__file__).parent / "c" / "fmi2Functions.h"
 # Of FMI 2.0, for co-simulation and model exchange.
 FUNCTIONS = set(re.findall(r"^#define (fmi2\w+)\s+fmi2FullName", HEADER.read_text(), re.M))
 
@@ -45,7 +46,7 @@ def fmu(request, table, tmp_path_factory):
         run = CliRunner().invoke(app, [*words, "--server", stub.url])
     assert run.exit_code == 0, run.output
     assert ", ".join(platforms_of(request.param)) in " ".join(run.output.split())
-    return Opened(export.Fmu(path.read_bytes(), (), ""), folder, "plate_thin")
+    return Opened(Fmu(path.read_bytes(), (), ""), folder, "plate_thin")
 
 
 OF_ALL = pytest.mark.parametrize("fmu", [slow("all")], indirect=True)
@@ -106,7 +107,7 @@ def test_the_macos_binary_has_a_signed_slice_for_each_processor_with_the_functio
 
 def test_no_binary_holds_a_path_of_the_machine_that_compiled_it(fmu, request):
     for place in platforms_of(request.node.callspec.params["fmu"]):
-        content = binary(fmu, place, PLATFORMS[place][0])
+        content = binary(fmu, place, PLATFORMS[place].ending)
         assert str(HEADER.parents[3]).encode() not in content
         assert str(Path.home() / ".cache").encode() not in content
 
@@ -120,20 +121,20 @@ def test_a_universal_file_holds_its_slices_as_they_were():
 
 def test_an_unknown_platform_is_refused_with_those_there_are():
     with pytest.raises(
-        export.UnknownPlatformError,
+        platforms.UnknownPlatformError,
         match=r"platforms names 'amiga', for .* linux64, aarch64-linux",
     ):
         platforms_of("linux64,amiga")
 
 
 def test_a_list_of_platforms_keeps_its_order_without_repetition(monkeypatch):
-    monkeypatch.setattr(export.build, "compiler_command", lambda target: ["zig"])
+    monkeypatch.setattr(platforms.build, "compiler_command", lambda target: ["zig"])
     assert platforms_of("win64, linux64,win64") == ("win64", "linux64")
     assert platforms_of("all") == tuple(PLATFORMS)
 
 
 def test_without_ziglang_platforms_are_refused_before_the_server_is_called(monkeypatch, tmp_path):
-    monkeypatch.setattr(export.build.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(platforms.build.importlib.util, "find_spec", lambda name: None)
     with running_stub() as stub:
         words = ["export", "bar", str(tmp_path / "bar.fmu"), "--platforms", "all"]
         run = CliRunner().invoke(app, [*words, "--server", stub.url])
@@ -143,10 +144,10 @@ def test_without_ziglang_platforms_are_refused_before_the_server_is_called(monke
 
 
 def test_an_fmu_of_this_machine_needs_no_ziglang(table, monkeypatch):
-    monkeypatch.setattr(export, "_compiled", lambda ending, target=None: repr(target).encode())
-    monkeypatch.setattr(export.build, "compiler_command", lambda target=None: ["cc"])
-    monkeypatch.setattr(export.platform, "system", lambda: "Linux")
-    monkeypatch.setattr(export.platform, "machine", lambda: "x86_64")
+    monkeypatch.setattr(platforms, "_compiled", lambda ending, target=None: repr(target).encode())
+    monkeypatch.setattr(platforms.build, "compiler_command", lambda target=None: ["cc"])
+    monkeypatch.setattr(platforms.platform, "system", lambda: "Linux")
+    monkeypatch.setattr(platforms.platform, "machine", lambda: "x86_64")
     created = make_fmu("plate", packed(table))
     assert created.platforms == ("linux64",)
     with zipfile.ZipFile(BytesIO(created.content)) as archive:
