@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from wrenchbook.fea.bundle.fingerprint import fingerprint
 from wrenchbook.fea.bundle.tables import ComponentFile, MaterialTable
 from wrenchbook.fea.mesh.deck_content import integrations
 from wrenchbook.fea.mesh.generators import GENERATORS
 from wrenchbook.fea.readers import reader_named, reader_names
 from wrenchbook.fea.spec.deck_text import deck_text
-from wrenchbook.fea.spec.fingerprint import fingerprint
 from wrenchbook.fea.spec.keys import (
     keys_of,
     kind_of,
@@ -145,7 +145,8 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
     parts = reader.parts()
     if reader.problems:
         raise BundleError(reader.problems)
-    return Bundle(folder=Path(folder), fingerprint=fingerprint(parts), **parts)
+    bundle = Bundle(folder=Path(folder), fingerprint="", **parts)
+    return replace(bundle, fingerprint=fingerprint(bundle))
 
 
 class _Reader:

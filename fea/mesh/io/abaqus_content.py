@@ -30,6 +30,7 @@ from wrenchbook.fea.mesh.io.abaqus import (
     set_key,
     set_names,
 )
+from wrenchbook.fea.mesh.io.abaqus_cases import WITH_FORCES
 from wrenchbook.fea.mesh.io.abaqus_keywords import (
     STRIDE,
     UNREADABLE,
@@ -220,7 +221,7 @@ def _take_loads(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None:
     """Add a step's forces to its couplings, or to the groups with forces."""
     single = {label for (label, _), (key, _) in step.forces.items() if not key}
     single -= reader.points.keys()
-    single_key = set_of(reader, deck, sorted(single), "nodes_with_forces") if single else ""
+    single_key = set_of(reader, deck, sorted(single), WITH_FORCES) if single else ""
     for (label, freedom), (key, value) in step.forces.items():
         number, first = reader.points.get(label, (None, 0))
         if number is None:
