@@ -9,7 +9,7 @@ import numpy as np
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation, contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling.coupling import CoupledState, each_interface
-from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.failure import FailureKind, SolveFailed
 from wrenchbook.fea.solution import Iteration, Progress
 from wrenchbook.fea.solver.arc_length import ArcPath
 from wrenchbook.fea.solver.newton import (
@@ -231,7 +231,7 @@ class LoadPath:
         if equilibrium.iterations <= _FEW_ITERATIONS:
             self._step *= GROWTH
 
-    def _halve(self, reason: str, kind: str | None = None) -> None:
+    def _halve(self, reason: str, kind: FailureKind | None = None) -> None:
         """Take a step back; raise SolveFailed if it already was the shortest.
 
         kind: kind of the failure then; None decides between a part that softens and a bad
