@@ -360,7 +360,7 @@ def _attach(
     """Return an interface with its section, by area where its nodes bound faces."""
     nodes = group_nodes(mesh, key, interface.section, problems)
     if not len(nodes):
-        section = InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
+        section = InterfaceSection(nodes, np.empty(0), None, np.zeros(3))
     else:
         if not _spans_a_plane(mesh.points[nodes]):
             count = "has 1 node" if len(nodes) == 1 else f"has {len(nodes)} nodes on one line"

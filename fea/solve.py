@@ -245,7 +245,7 @@ class Solver:
     @property
     def compliance(self) -> np.ndarray:
         """The compliance at no load, shape (6 i, 6 i), m/N, rad/N and so on; symmetric."""
-        return self.linear.compliance[:, : self._system.coupling.freedoms]
+        return self.linear.compliance[:, : self._system.coupling.n_freedoms]
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
@@ -303,7 +303,7 @@ class Solver:
 
         Raises SolveFailed as `linear` does.
         """
-        return small_stress(self.body, self.linear.fields, self._system.coupling.freedoms)
+        return small_stress(self.body, self.linear.fields, self._system.coupling.n_freedoms)
 
     def stresses(self, solution: Solution) -> np.ndarray:
         """Return a solution's stresses at the integration points, shape (p, 6), Pa."""
@@ -356,7 +356,7 @@ class Solver:
         inputs = self.inputs(wrench)
         # Loads on locked freedoms have no effect; further inputs act relative to their references.
         acting = inputs - self.component.at_rest
-        loads = np.arange(self._system.coupling.freedoms)
+        loads = np.arange(self._system.coupling.n_freedoms)
         acting[np.setdiff1d(loads, self.component.active)] = 0.0
         analysis = self.component.analysis
         if not analysis.nonlinear or not (acting.any() or self._hangs):

@@ -79,9 +79,9 @@ def fingerprint(bundle: Bundle) -> str:
     if analysis.nonlinear and bundle.mesh is not None and bundle.deck is None:
         content["solver"] = NONLINEAR_SOLVER
     if heated:
-        content["inputs"] = {"temperature": further[TEMPERATURE].reference}
-        if (field := further[TEMPERATURE].field) is not None:
-            content["inputs"]["field"] = _file_hash(field)
+        field = further[TEMPERATURE].field
+        file = {} if field is None else {"field": _file_hash(field)}
+        content["inputs"] = {"temperature": further[TEMPERATURE].reference} | file
 
     # The order of ties counts: a node of two ties follows the first.
     if bundle.ties:

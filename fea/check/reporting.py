@@ -325,7 +325,7 @@ def _section(interface: AttachedInterface) -> dict[str, Any]:
     name = {"name": interface.name} if interface.name else {}
     return name | {
         "nodes": len(section.node_ids),
-        "area": section.area if section.by_area else None,
+        "area": section.area,
         "centre": section.centre.tolist(),
         "point": interface.point.tolist(),
         "coupling": interface.coupling,

@@ -38,7 +38,7 @@ def buckling_factors(system: System, fields: np.ndarray, temperature: float) -> 
     matrix = geometric_stiffness(system.body.at(temperature, finite=False), fields)
     if not matrix.count_nonzero():
         return np.inf, np.inf
-    stressed = Inertia(system, -matrix, np.zeros((system.coupling.freedoms,) * 2))
+    stressed = Inertia(system, -matrix, np.zeros((system.coupling.n_freedoms,) * 2))
 
     modes = min(_MODES, stressed.size)
     motions = np.random.default_rng(_BUCKLING_SEED).standard_normal((modes, stressed.size))

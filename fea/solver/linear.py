@@ -53,7 +53,7 @@ def linear_response(system: System) -> LinearResponse:
     fields, border, correction = _refined(system, system.undeformed)
     condition = system.condition
     displacements = system.coupling.displacement_rows(border)
-    loads = system.coupling.freedoms
+    loads = system.coupling.n_freedoms
     compliance = displacements[:, :loads]
     scale = np.sqrt(np.abs(np.diagonal(compliance)))
     scale = np.where(scale > 0, scale, 1.0)
@@ -105,7 +105,7 @@ def _refined(system: System, start: Linearisation) -> tuple[np.ndarray, np.ndarr
 
     nodes, moved = start.solve(acting, loads)
     size = 0.0
-    first = system.coupling.freedoms
+    first = system.coupling.n_freedoms
     for _ in range(_MAX_CORRECTIONS):
         fields = nodes + border.constraint @ moved
         forces = system.body.small_strain_forces(fields)

@@ -60,7 +60,7 @@ def craig_bampton(
     Raises ValueError if freedoms are locked, nothing has a mass, or the part has fewer modes.
     Raises SolveFailed of kind ``mechanism`` or ``ill_conditioned`` if the equations are singular.
     """
-    count = system.coupling.freedoms
+    count = system.coupling.n_freedoms
     inertia = Inertia(system, mass, np.zeros((count, count)))
     (_, origin, _), *moving = frames
     freedoms = inertia.active.size

@@ -56,7 +56,7 @@ def load_rates(coupling: Coupling, balance: Balance, compliance: np.ndarray) -> 
         vector = balance.state.interface[rotations]
         rates[rotations, rotations] = spin_per_vector(vector).T
         rates[rotations] += spin_slope(vector, balance.wrench[rotations]) @ compliance[rotations]
-    locked = np.setdiff1d(np.arange(coupling.freedoms), coupling.active)
+    locked = np.setdiff1d(np.arange(coupling.n_freedoms), coupling.active)
     rates[locked], rates[:, locked] = 0.0, 0.0
     rates[locked, locked] = 1.0
     return rates
@@ -74,12 +74,12 @@ def third_derivatives(
     where an index is that of a locked freedom.
     """
     state, inputs, coupling = balance.state, balance.wrench, system.coupling
-    active = np.append(coupling.active, np.arange(coupling.freedoms, len(inputs)))
+    active = np.append(coupling.active, np.arange(coupling.n_freedoms, len(inputs)))
     tensor = np.zeros((len(inputs),) * 3)
     if not active.size:
         return tensor
 
-    origin = np.zeros(coupling.freedoms) if origin is None else origin
+    origin = np.zeros(coupling.n_freedoms) if origin is None else origin
     moved, turns = from_origin(state.interface, origin)
     counted = replace(balance, state=replace(state, interface=moved))
     rates = load_rates(coupling, counted, turns @ tangent.compliance)[np.ix_(active, active)]

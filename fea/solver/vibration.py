@@ -126,7 +126,7 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     one of several interfaces. Raises SolveFailed of kind ``mechanism`` or ``ill_conditioned`` if
     the equations are singular.
     """
-    active, count = system.coupling.active, system.coupling.freedoms
+    active, count = system.coupling.active, system.coupling.n_freedoms
     interface_mass = np.zeros((count, count))
     if count == PER_INTERFACE:
         interface_mass[np.ix_(active, active)] = riding.matrix[np.ix_(active, active)]
@@ -256,9 +256,9 @@ class Inertia:
         self._free = np.flatnonzero(system.body.free)
         self._movable = system.body.movable
         self._nodes = system.body.size
-        self._motions = system.coupling.motions
+        self._motions = system.coupling.n_motions
         self._constraint = self._start.border.constraint[:, :, : self._motions]
-        self._multipliers = system.coupling.border - self._motions
+        self._multipliers = system.coupling.n_border - self._motions
         self.first = 3 * self._free.size
         self.size = self.first + self._motions
 
