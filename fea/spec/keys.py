@@ -148,7 +148,9 @@ def _in_folder(value: object, handler: Any, info: ValidationInfo) -> Path:
             f'"{name}" is an absolute path; write it relative to component.toml: "{relative}"'
         )
     if not is_there:
-        known = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
+        entries = folder.iterdir() if folder.is_dir() else ()
+        # pydantic cannot pass on a message with surrogates, of a name that is no UTF-8.
+        known = sorted(entry.name.encode(errors="backslashreplace").decode() for entry in entries)
         files = f"only {', '.join(known)}" if known else "which has no files"
         remedy = suggest(name, known) or "; correct the name, or add the file"
         raise ValueError(f'there is no file "{name}" in the bundle, {files}{remedy}')
