@@ -211,8 +211,9 @@ def write(bundle: Bundle, study: Study) -> Path:
         "lacking": study.lacking.tolist(),
     }
     path = bundle.folder / FILE
-    path.write_text(json.dumps(content), encoding="utf-8")
-    return path
+    scratch = path.with_suffix(".part")  # a table's builder may read the study at this moment
+    scratch.write_text(json.dumps(content), encoding="utf-8")
+    return scratch.replace(path)
 
 
 def names_of(bundle: Bundle) -> list[str]:

@@ -336,6 +336,20 @@ def test_a_damaged_study_makes_the_bar_unknown_and_says_why(tmp_path, damage):
     assert "run wrenchbook converge again" in report["mesh_basis"]
 
 
+def test_a_study_that_cannot_be_written_leaves_the_one_before(tmp_path, monkeypatch):
+    def fill_the_disk(path, text, **_):
+        path.write_bytes(text.encode()[:10])
+        raise OSError("no space left")
+
+    bundle = block(tmp_path)
+    study = studied(bundle)
+    before = write(bundle, study).read_text()
+    monkeypatch.setattr(Path, "write_text", fill_the_disk)
+    with pytest.raises(OSError, match="no space left"):
+        write(bundle, study)
+    assert (tmp_path / convergence.FILE).read_text() == before
+
+
 def test_a_mesh_file_is_compared_with_a_finer_one(tmp_path):
     bundle = tube(tmp_path, 12, 0.3, along=4)
     (tmp_path / "fine").mkdir()
