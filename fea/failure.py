@@ -8,25 +8,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-FailureKind = Literal[
-    # Of the embedded solver
-    "not_converged",
-    "mechanism",
-    "ill_conditioned",
-    "inverted_elements",
-    "snap_through",
-    "locking_material",
-    "yields",
-    "rotation_too_large",
-    # Of a deck and its outside solver
-    "bad_deck",
-    "no_solver",
-    "timed_out",
-    "solver_failed",
-    "bad_output",
-    "not_linear",
-    "not_reciprocal",
-]
+_OfPart = Literal["mechanism", "inverted_elements", "locking_material", "yields"]
+_OfSolve = Literal["not_converged", "ill_conditioned", "snap_through", "rotation_too_large"]
+_OfDeck = Literal["bad_deck", "bad_output", "not_linear", "not_reciprocal"]
+_OfProgram = Literal["no_solver", "timed_out", "solver_failed"]
+FailureKind = _OfPart | _OfSolve | _OfDeck | _OfProgram
 
 REMEDIES: Mapping[FailureKind, str] = {
     # Newton's method ends before an equilibrium.
@@ -91,7 +77,7 @@ class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a prog
         return SolveFailed, (self.kind, self.message, self.remedy), self.__dict__
 
 
-def ending(code: int) -> str:
+def exit_text(code: int) -> str:
     """Return the ending of a program as text, by its exit code or minus its signal."""
     if code == 0:
         return "reported an error"

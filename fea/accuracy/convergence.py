@@ -152,7 +152,7 @@ def _order(change: float, first: float, second: float, third: float) -> float:
     return low
 
 
-def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
+def convergence_study(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
     """Solve the component on its mesh and on finer meshes.
 
     finer_meshes: one or two files with the bundle's groups, in the unit of its mesh, each finer

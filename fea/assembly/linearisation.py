@@ -21,8 +21,8 @@ class Balance:
     # if the body expands, and the accelerations that are inputs, m/s^2.
     wrench: np.ndarray
     forces: np.ndarray  # shape (n, 3), N: internal nodal forces, less weight and acceleration
-    energy: float  # Strain energy, J
-    least_stretch: float  # Smallest determinant of the deformation gradient
+    energy: float  # strain energy, J
+    least_stretch: float  # smallest determinant of the deformation gradient
     # nodal, border: the residuals: shape (n, 3), N, at the free nodes, zero at others; and
     # shape (border,), N and N·m for interface freedoms, m and m^2 for constraints.
     nodal: np.ndarray

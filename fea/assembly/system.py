@@ -46,7 +46,7 @@ class System:
         self.body_force = np.zeros((body.size, 3, 0)) if body_force is None else body_force
 
     @property
-    def inputs(self) -> int:
+    def n_inputs(self) -> int:
         """Number of inputs: six loads an interface, the temperature if any, accelerations."""
         return self.coupling.n_freedoms + self.body.expands + self.body_force.shape[2]
 
@@ -139,7 +139,7 @@ class System:
     def balance_at_rest(self) -> Balance:
         """The undeformed, unloaded state."""
         state = self.coupling.start()
-        return self._balance(state, np.zeros(self.inputs), np.zeros_like(state.nodes), 0.0, 1.0)
+        return self._balance(state, np.zeros(self.n_inputs), np.zeros_like(state.nodes), 0.0, 1.0)
 
     def thermal_energy(self, balance: Balance) -> float:
         """Return the strain energy less that of the same displacement without temperature, J."""
@@ -148,6 +148,12 @@ class System:
         cold = balance.wrench.copy()
         cold[self.coupling.n_freedoms] = 0.0
         return balance.energy - self.balance(balance.state, cold).energy
+
+    @cached_property
+    def thermal_at_rest(self) -> tuple[np.ndarray, float]:
+        """Internal forces, (n, 3), N/K, and energy, J/K², by temperature in the undeformed body."""
+        undeformed = np.zeros((self.body.size, 3))
+        return self.body.thermal_rates(undeformed)[0], self._per_kelvin[1]
 
     @cached_property
     def _per_kelvin(self) -> tuple[float, float]:

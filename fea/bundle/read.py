@@ -28,7 +28,7 @@ from wrenchbook.fea.spec.keys import (
     not_single,
     shown,
     unknown,
-    validated,
+    validate,
 )
 from wrenchbook.fea.spec.material import EXPANDING, AnyMaterial
 from wrenchbook.fea.spec.mesh_source import Generator, MeshFile, MeshSource
@@ -142,10 +142,9 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
         As `read_bundle` does.
     """
     reader = _Reader(table, Path(folder))
-    parts = reader.parts()
+    bundle = reader.bundle()
     if reader.problems:
         raise BundleError(reader.problems)
-    bundle = Bundle(folder=Path(folder), fingerprint="", **parts)
     return replace(bundle, fingerprint=fingerprint(bundle))
 
 
@@ -173,7 +172,7 @@ class _Reader:
             self.wrong(name, "must not be null; leave the key out")
             return None
         kind = kind or kind_of(keys_of(ComponentFile)[name])
-        return validated(kind, self.table[name], name, self.problems, self.folder)
+        return validate(kind, self.table[name], name, self.problems, self.folder)
 
     def read_each(self, name: str, kind: Any) -> list[Any]:
         """Return the values of an array of tables, None for each that cannot be used."""
@@ -190,7 +189,7 @@ class _Reader:
         else:
             paths = [f"{name}[{i}]" for i in range(len(values))]
             pairs = zip(values, paths, strict=True)
-            return [validated(kind, each, at, self.problems, self.folder) for each, at in pairs]
+            return [validate(kind, each, at, self.problems, self.folder) for each, at in pairs]
         return []
 
     @property
@@ -198,14 +197,14 @@ class _Reader:
         """Whether the interfaces are an array of tables."""
         return isinstance(self.table.get("interface"), list)
 
-    def parts(self) -> dict[str, Any]:
-        """Return the parts of a bundle; those with mistakes are None."""
+    def bundle(self) -> Bundle:
+        """Return the bundle without its fingerprint; parts with mistakes are None."""
         self.check_keys()
         mesh = self.mesh()
         materials = self.read_each("material", MaterialTable)
         analysis = self.analysis(mesh)
         interfaces = self.interfaces()
-        loads = self.range(interfaces)
+        loads: Any = self.range(interfaces)
         inputs = self.read("inputs")
         further: tuple[ScalarInput, ...] = inputs.scalars if inputs is not None else ()
 
@@ -218,23 +217,25 @@ class _Reader:
         self.check_inputs(further, materials, interfaces)
         if loads is not None:
             self.check_count(loads, further, len(interfaces))
-        return {
-            "name": self.read("name"),
-            "title": self.read("title"),
-            "mesh": mesh,
-            "materials": tuple(materials),
-            "supports": self.read("supports"),
-            "ties": self.read("tie") or (),
-            "bolts": self.read("bolt") or (),
-            "joints": self.read("spring") or (),
-            "interface": interfaces[0] if interfaces else None,
-            "others": tuple(interfaces[1:]),
-            "analysis": analysis,
-            "range": loads,
-            "further": further,
-            "tolerance": self.read("tolerance"),
-            "deck": self.deck(),
-        }
+        return Bundle(
+            folder=self.folder,
+            name=self.read("name"),
+            title=self.read("title"),
+            mesh=mesh,
+            materials=tuple(materials),
+            supports=self.read("supports"),
+            ties=self.read("tie") or (),
+            bolts=self.read("bolt") or (),
+            joints=self.read("spring") or (),
+            interface=interfaces[0] if interfaces else None,
+            others=tuple(interfaces[1:]),
+            analysis=analysis,
+            range=loads,
+            further=further,
+            tolerance=self.read("tolerance"),
+            deck=self.deck(),
+            fingerprint="",
+        )
 
     def check_keys(self) -> None:
         """Note keys that are missing, unknown or without effect beside another key."""

@@ -16,8 +16,6 @@ from wrenchbook.fea.tensors import rotation, rotation_derivatives, rotation_vect
 
 PER_INTERFACE = len(FREEDOMS)
 """Freedoms of one interface: three translations, then a rotation vector."""
-_TURN = 3
-"""Position of the rotation vector among them."""
 
 
 def each_interface(vector: np.ndarray) -> np.ndarray:
@@ -25,11 +23,14 @@ def each_interface(vector: np.ndarray) -> np.ndarray:
     return vector.reshape(-1, PER_INTERFACE)
 
 
+def rotations_in(size: int) -> list[slice]:
+    """Return the places of the rotation vectors, or moments, among `size` = 6 i displacements."""
+    return [slice(end - 3, end) for end in range(PER_INTERFACE, size + 1, PER_INTERFACE)]
+
+
 def largest_rotation(displacement: np.ndarray) -> float:
     """Return the largest rotation, rad, among displacements of shape (6 i,), m and rad."""
-    return float(
-        max(np.linalg.norm(interface[_TURN:]) for interface in each_interface(displacement))
-    )
+    return float(max(np.linalg.norm(interface[3:]) for interface in each_interface(displacement)))
 
 
 def from_origin(interface: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -39,8 +40,7 @@ def from_origin(interface: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, 
     """
     moved = interface - origin
     rates = np.eye(len(interface))
-    for first in range(0, len(interface), PER_INTERFACE):
-        turn = slice(first + _TURN, first + PER_INTERFACE)
+    for turn in rotations_in(len(interface)):
         now, zero = interface[turn], origin[turn]
         if zero.any():
             moved[turn] = rotation_vector(rotation(now) @ rotation(zero).T)
@@ -116,12 +116,9 @@ class SectionCoupling(ABC):
     def __init__(self, points: np.ndarray) -> None:
         self.points = points
 
-    def node_positions(self, interface: np.ndarray) -> np.ndarray:
-        """Return the displacements, (s, 3), m, by an interface at (6,), m and rad.
-
-        Only a coupling that `constrains` has them.
-        """
-        raise NotImplementedError
+    def node_positions(self, interface: np.ndarray) -> np.ndarray | None:
+        """Return the displacements, (s, 3), m, by an interface at (6,), if it `constrains` them."""
+        return None
 
     @abstractmethod
     def residual(
@@ -208,33 +205,21 @@ class Coupling:
     A body that only multipliers hold has no definite stiffness. Three anchors, nodes whose
     components are all in the border, leave a definite stiffness.
 
-    Parameters
-    ----------
-    size
-        Number of the body's nodes.
-    sections
-        For each interface, then each frame, its coupling, its section's nodes, shape (s,), and its
-        axes in those of the body, shape (3, 3), in rows; None where they are the same. No two share
-        a node.
-    active
-        Shape (k,), int64: indices of the interfaces' freedoms that are not locked, ascending.
-    anchors
-        Shape (a,), int64: nodes that are in no rigid section.
-    n_frames
-        Number of sections, the last ones, that are frames.
-    springs
-        For each spring the indices of its one or two sections, and its stiffness, shape (6, 6),
-        N/m, N/rad and N·m/rad.
+    size: number of the body's nodes.
+    sections: for each interface, then each frame, its coupling, its section's nodes, shape (s,),
+    and its axes in those of the body, shape (3, 3), in rows; None where they are the same. No two
+    share a node.
+    active: shape (k,), int64: indices of the interfaces' freedoms that are not locked, ascending.
+    anchors: shape (a,), int64: nodes that are in no rigid section.
+    n_frames: number of sections, the last ones, that are frames.
+    springs: for each the indices of one or two sections, and its stiffness, shape (6, 6), N/m,
+    N/rad and N·m/rad.
 
-    Attributes
-    ----------
-    n_freedoms
-        6 i for i interfaces, with locked ones.
-    n_motions
-        Unknowns of the border that are displacements: active freedoms of the interfaces, the
-        motions of the frames, then the anchors' displacements.
-    n_border
-        All unknowns of the border: these, then the sections' multipliers.
+    Its attributes:
+    n_freedoms: 6 i for i interfaces, with locked ones.
+    n_motions: unknowns of the border that are displacements, in this order: active freedoms of
+    interfaces, all of frames, components of anchors.
+    n_border: all unknowns of the border: these, then the sections' multipliers.
     """
 
     def __init__(
@@ -263,14 +248,11 @@ class Coupling:
         next_multiplier = self.n_motions
         for number, (section, nodes, axes) in enumerate(sections):
             motions = slice(PER_INTERFACE * number, PER_INTERFACE * (number + 1))
-            is_active = (motions.start <= self._active_motions) & (
-                self._active_motions < motions.stop
-            )
+            mine = np.flatnonzero(self._active_motions // PER_INTERFACE == number)
             multipliers = np.arange(section.n_multipliers)
-            unknowns = np.append(
-                self._active_motions[is_active] - motions.start, PER_INTERFACE + multipliers
-            )
-            border = np.append(np.flatnonzero(is_active), next_multiplier + multipliers)
+            freedoms = self._active_motions[mine] - motions.start
+            unknowns = np.append(freedoms, PER_INTERFACE + multipliers)
+            border = np.append(mine, next_multiplier + multipliers)
             self._attachments.append(_Attachment(section, nodes, axes, motions, unknowns, border))
             of_sections.append(motions.start + multipliers)
             next_multiplier += section.n_multipliers
@@ -286,19 +268,14 @@ class Coupling:
     @property
     def constrained(self) -> np.ndarray:
         """Nodes that an interface moves and that are no unknowns, shape (k,), int64, indices."""
-        following = [
-            attached.nodes for attached in self._attachments if attached.section.constrains
-        ]
+        following = [part.nodes for part in self._attachments if part.section.constrains]
         return np.concatenate([self._anchors, *following])
 
     def start(self) -> CoupledState:
         """Return the undeformed state."""
-        return CoupledState(
-            nodes=np.zeros((self._size, 3)),
-            interface=np.zeros(self.n_freedoms),
-            multipliers=np.zeros(self.n_freedoms + self._n_frame_motions),
-            frames=np.zeros(self._n_frame_motions),
-        )
+        interface, frames = np.zeros(self.n_freedoms), np.zeros(self._n_frame_motions)
+        multipliers = np.zeros(self.n_freedoms + self._n_frame_motions)
+        return CoupledState(np.zeros((self._size, 3)), interface, multipliers, frames)
 
     def spring_energy(self, state: CoupledState) -> float:
         """Return the energy of the springs, J."""
@@ -329,8 +306,8 @@ class Coupling:
         node_motions = state.nodes + nodes
         node_motions[self._anchors] += border[self._anchored].reshape(-1, 3)
         for attached in self._attachments:
-            if attached.section.constrains:
-                local = attached.section.node_positions(motions[attached.motions])
+            local = attached.section.node_positions(motions[attached.motions])
+            if local is not None:
                 node_motions[attached.nodes] = attached.outwards(local)
         interface, frames = np.split(motions, [self.n_freedoms])
         return CoupledState(node_motions, interface, multipliers, frames)

@@ -109,7 +109,7 @@ def _held_modes(inertia: Inertia, shapes: np.ndarray, count: int) -> tuple[np.nd
     interface_rows = slice(inertia.first, inertia.first + inertia.active.size)
 
     def held(loads: np.ndarray) -> np.ndarray:
-        moved = inertia.solved(loads)
+        moved = inertia.solve(loads)
         return moved - shapes @ moved[interface_rows]
 
     start = held(np.random.default_rng(_HELD_SEED).standard_normal(inertia.size))

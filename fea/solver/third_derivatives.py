@@ -14,7 +14,7 @@ import numpy as np
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation, contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling import Coupling
-from wrenchbook.fea.coupling.coupling import PER_INTERFACE, from_origin
+from wrenchbook.fea.coupling.coupling import from_origin, rotations_in
 from wrenchbook.fea.element.cell_state import CellState, symmetrised
 from wrenchbook.fea.tensors import COMPLEX_STEP, skew, spin_per_vector, spin_slope
 
@@ -51,8 +51,7 @@ def load_rates(coupling: Coupling, balance: Balance, compliance: np.ndarray) -> 
     `compliance` has shape (6 i, k), m and rad over the inputs' units.
     """
     rates = np.eye(len(balance.wrench))
-    for first in range(PER_INTERFACE // 2, len(compliance), PER_INTERFACE):
-        rotations = slice(first, first + PER_INTERFACE // 2)
+    for rotations in rotations_in(len(compliance)):
         vector = balance.state.interface[rotations]
         rates[rotations, rotations] = spin_per_vector(vector).T
         rates[rotations] += spin_slope(vector, balance.wrench[rotations]) @ compliance[rotations]
@@ -133,8 +132,7 @@ def second_derivatives_at_rest(system: System) -> np.ndarray:
     tensor = third_derivatives(system, system.balance_at_rest, system.undeformed)
     compliance = system.undeformed.compliance
     second = tensor[: len(compliance)]
-    for first in range(PER_INTERFACE // 2, len(compliance), PER_INTERFACE):
-        moments = slice(first, first + PER_INTERFACE // 2)
+    for moments in rotations_in(len(compliance)):
         acting = np.isin(np.arange(moments.start, moments.stop), system.coupling.active)
         # d2 mu / dw_k dM_l, shape (3, k, 3).
         bend = -0.5 * skew(compliance[moments].T).transpose(1, 0, 2) * acting

@@ -1,6 +1,6 @@
 """Keys of ``component.toml`` as fields of pydantic models: types, units, texts and messages.
 
-A table of the file is a class under `table`, whose fields are made by `key`. `validated` returns an
+A table of the file is a class under `table`, whose fields are made by `key`. `validate` returns an
 instance, or adds a problem for every mistake.
 """
 
@@ -288,7 +288,7 @@ def mesh_axes() -> np.ndarray:
     return np.eye(3)
 
 
-def validated(
+def validate(
     kind: Any, value: object, where: str, problems: list[BundleProblem], folder: Path | None = None
 ) -> Any:
     """Return `value`, of the key `where`, as a `kind`; None if it cannot be used.

@@ -157,7 +157,7 @@ class ComponentSolver:
         from wrenchbook.fea.bundle.read import FILE_NAME, read_bundle
         from wrenchbook.fea.check.cost import estimate
         from wrenchbook.fea.component import build
-        from wrenchbook.fea.export.failure_record import keep
+        from wrenchbook.fea.export.failure_record import write_failure
         from wrenchbook.fea.failure import SolveFailed
         from wrenchbook.fea.solve import Solver
 
@@ -177,7 +177,7 @@ class ComponentSolver:
             self.ready = Solver(component)
             self._key = key
         except SolveFailed as failure:
-            keep(attempt.folder, failure, component)
+            write_failure(attempt.folder, failure, component)
             raise
 
     def _limit(self, estimated: int | None) -> None:

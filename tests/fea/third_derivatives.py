@@ -13,7 +13,7 @@ from wrenchbook.fea.solver.third_derivatives import load_rates, third_derivative
 def state_of(solver, inputs, start=None):
     """Return the state under inputs, shape (k,): a `Balance`, and the tangent proper there."""
     result = solver.solve(inputs, start=start)
-    above = inputs - solver.component.at_rest
+    above = inputs - solver.component.reference_inputs
     balance = solver._system.balance(result.state, _acting(solver, above))
     return balance, solver._system.linearise(balance)
 

@@ -1,20 +1,13 @@
-"""Groups of single nodes in a deck, and whether its last case has those of all cases.
-
-Apart from the reader of decks, because `fea.bundle` imports no numerics.
-"""
+"""Groups of single nodes in a deck, apart because `fea.bundle` reads decks without numerics."""
 
 import re
 
-HELD_IN = "nodes_held_in_"
-"""Name of a group of single nodes that *BOUNDARY holds, before its directions."""
-WITH_FORCES = "nodes_with_forces"
-"""Name of the group of single nodes with forces of *CLOAD."""
+HELD_IN = "nodes_held_in_"  # begins the name of a group of single nodes that *BOUNDARY holds
+WITH_FORCES = "nodes_with_forces"  # name of the group of single nodes with forces of *CLOAD
 
 _CASES = ("STEP", "LOAD CASE")
-_KEYWORD = re.compile(
-    r"^[^\w*\n]*\*[ \t]*(BOUNDARY|CLOAD|STEP|LOAD CASE)\b([^*]*)", re.A | re.I | re.M
-)
-_ANEW = re.compile(r",\s*(?:OP\s*=\s*NEW|PERTURBATION)\b", re.A | re.I)
+_KEYWORD = re.compile(r"(?aim)^[^\w*\n]*\*[ \t]*(BOUNDARY|CLOAD|STEP|LOAD CASE)\b([^*]*)")
+_ANEW = re.compile(r"(?ai),\s*(?:OP\s*=\s*NEW|PERTURBATION)\b")
 
 
 def drops_nodes(deck: str) -> bool:
@@ -23,17 +16,15 @@ def drops_nodes(deck: str) -> bool:
     It may if there are two load cases, if one of several steps is a perturbation, or if a step
     removes earlier conditions (OP=NEW). Otherwise each step adds to the one before.
     """
-    keywords = [
-        (word.upper(), _ANEW.search(options) is not None)
-        for word, options in _KEYWORD.findall(deck)
-    ]
-    cases = [(word, anew) for word, anew in keywords if word in _CASES]
-    if sum(word == "LOAD CASE" for word, _ in cases) > 1:
-        return True
-    if len(cases) > 1 and ("STEP", True) in cases:
-        return True
-    conditions = [i for i, (word, _) in enumerate(keywords) if word not in _CASES]
-    removing = [i for i in conditions if keywords[i][1]]
-    return bool(removing) and any(
-        word in _CASES for word, _ in keywords[conditions[0] : removing[-1]]
-    )
+    cases: list[tuple[str, bool]] = []
+    has_conditions = is_later = False  # whether conditions are above, and a case after these
+    for name, options in _KEYWORD.findall(deck):
+        word, anew = name.upper(), _ANEW.search(options) is not None
+        if word in _CASES:
+            cases.append((word, anew))
+            is_later |= has_conditions
+        elif anew and is_later:
+            return True
+        has_conditions |= word not in _CASES
+    load_cases = sum(word == "LOAD CASE" for word, _ in cases)
+    return load_cases > 1 or (len(cases) > 1 and ("STEP", True) in cases)

@@ -21,7 +21,7 @@ from wrenchbook.fea.check import as_text
 from wrenchbook.fea.check import report as check
 from wrenchbook.fea.component import build
 from wrenchbook.fea.export.calculix import deck_of
-from wrenchbook.fea.spec.keys import validated
+from wrenchbook.fea.spec.keys import validate
 from wrenchbook.fea.spec.schema import FREEDOMS
 
 PLATE = (GOOD / "plate" / "component.toml").read_text("utf-8")
@@ -246,7 +246,7 @@ CARBON = {
 
 def read(table):
     problems = []
-    material = validated(MaterialTable, table, "material[0]", problems)
+    material = validate(MaterialTable, table, "material[0]", problems)
     return material, [str(problem) for problem in problems]
 
 
