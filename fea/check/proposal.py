@@ -265,6 +265,7 @@ class _Proposal:
         return lines
 
     def tie(self, tie: Tie) -> list[str]:
+        """Return the lines of a tie, its distance in m."""
         lines = ["", "[[tie]]", f"secondary = {_text(tie.secondary)}", f"main = {_text(tie.main)}"]
         if tie.distance:
             lines.append(f"distance = {tie.distance * UNITS[self.unit]:.9g}")

@@ -244,19 +244,19 @@ class Coupling:
         # A state has six motions and six multipliers of every section; the border has those that
         # are unknowns.
         self._attachments: list[_Attachment] = []
-        of_sections = [np.empty(0, dtype=int)]  # indices in a state of the border's multipliers
+        in_state = [np.empty(0, dtype=int)]  # indices in a state of the border's multipliers
         next_multiplier = self.n_motions
         for number, (section, nodes, axes) in enumerate(sections):
             motions = slice(PER_INTERFACE * number, PER_INTERFACE * (number + 1))
-            mine = np.flatnonzero(self._active_motions // PER_INTERFACE == number)
+            of_section = np.flatnonzero(self._active_motions // PER_INTERFACE == number)
             multipliers = np.arange(section.n_multipliers)
-            freedoms = self._active_motions[mine] - motions.start
+            freedoms = self._active_motions[of_section] - motions.start
             unknowns = np.append(freedoms, PER_INTERFACE + multipliers)
-            border = np.append(mine, next_multiplier + multipliers)
+            border = np.append(of_section, next_multiplier + multipliers)
             self._attachments.append(_Attachment(section, nodes, axes, motions, unknowns, border))
-            of_sections.append(motions.start + multipliers)
+            in_state.append(motions.start + multipliers)
             next_multiplier += section.n_multipliers
-        self._multiplier_indices = np.concatenate(of_sections)
+        self._multiplier_indices = np.concatenate(in_state)
 
         self._springs: list[_Spring] = []
         for numbers, stiffness in springs:

@@ -42,7 +42,7 @@ _MIN_INTEGRAL = 0.1
 _UNSURE = 0.02  # part of a facet, covered or not: roundoff, and gaps between curved facets
 # Part of a main facet that counts as all of it: on a round surface its projection is as small, at
 # 25 degrees.
-_WHOLE = 0.9
+_COMPLETE = 0.9
 _NEIGHBOURS = 8  # main nodes beside a sliding node, some on its plane of symmetry if the surface is
 _ROUNDOFF = 1e-9  # part of a projector: axes are written to about as many digits
 
@@ -276,7 +276,7 @@ def tied_nodes(
     untied = len(secondary.node_ids) - int(tied.sum())
     # The size of the largest main facet that is covered in part: the diagonal of a square.
     areas, tied_areas = np.concatenate(main_areas), np.concatenate(main_covered)
-    is_part = (_UNSURE * areas < tied_areas) & (tied_areas < _WHOLE * areas)
+    is_part = (_UNSURE * areas < tied_areas) & (tied_areas < _COMPLETE * areas)
     part_area = areas[is_part].max(initial=0.0)
     within = float(np.sqrt(2 * part_area / tied_areas.sum())) if part_area else 0.0
     return TiedNodes(np.flatnonzero(tied), untied, max_gap, distance, cut, beyond, within), follow

@@ -54,7 +54,7 @@ SOLID_FACES = {"hex": _HEX_FACES, "tet": _TET_FACES, "wedge": _WEDGE_FACES}
 SOLID_FACES["pyramid"] = ("1234", "152", "253", "354", "451")
 
 _SHELL_FACES = "SPOS|SNEG|E[1-4]|EDGE|END[12]"
-_MADE = {"COMBINE", "CROP"}  # options of *SURFACE that make a surface of others
+_DERIVING = {"COMBINE", "CROP"}  # options of *SURFACE that make a surface of others
 
 _REFUSED = {
     **dict.fromkeys(("NGEN", "NFILL", "NCOPY"), "*NODE"),
@@ -369,8 +369,8 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
     surface = keyword.option("NAME")
     kind = keyword.options.get("TYPE", "ELEMENT").upper()
     cause = "" if kind in ("NODE", "ELEMENT") else f"has TYPE={kind}"
-    if made := _MADE & keyword.options.keys():
-        cause = f"is made of other surfaces ({min(made)})"
+    if deriving := _DERIVING & keyword.options.keys():
+        cause = f"is made of other surfaces ({min(deriving)})"
     faces: list[tuple[int, str]] = []
     for name, *fields in () if cause else keyword.rows:
         if kind == "NODE":

@@ -183,7 +183,7 @@ def _selections(data: Bulk, control: str) -> dict[str, dict[str, str]]:
 
 
 def _check_system(data: Bulk, _: str, fields: list[str]) -> None:
-    """Refuse a coordinate system whose number an earlier card has."""
+    """Refuse a coordinate system whose number an earlier card has: `Bulk.index` stored that."""
     if data.cards[fields[0]][1] is not fields:
         raise MeshFileError(f"{fields[0]} {_AGAIN}")
 
