@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -204,7 +204,7 @@ class _Reader:
         materials = self.read_each("material", MaterialTable)
         analysis = self.analysis(mesh)
         interfaces = self.interfaces()
-        loads: Any = self.range(interfaces)
+        loads = self.range(interfaces)
         inputs = self.read("inputs")
         further: tuple[ScalarInput, ...] = inputs.scalars if inputs is not None else ()
 
@@ -230,7 +230,7 @@ class _Reader:
             interface=interfaces[0] if interfaces else None,
             others=tuple(interfaces[1:]),
             analysis=analysis,
-            range=loads,
+            range=cast("DeclaredRange", loads),
             further=further,
             tolerance=self.read("tolerance"),
             deck=self.deck(),
