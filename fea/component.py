@@ -16,7 +16,7 @@ from wrenchbook.fea.mesh.io.temperature_field import shape_on
 from wrenchbook.fea.mesh.mapping import cell_problems
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.sources import mesh_of
-from wrenchbook.fea.mesh.tie import TiedNodes, joined
+from wrenchbook.fea.mesh.tie import TiedNodes, tie_surfaces
 from wrenchbook.fea.spec.material import AnyMaterial
 from wrenchbook.fea.spec.mesh_source import MeshSource
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem, point_text
@@ -47,7 +47,7 @@ class AttachedInterface:
 
     key: str  # key in the bundle: ``interface``, ``interface[1]``, ``supports.bushing[0]``
     name: str  # empty for a single interface
-    section: InterfaceSection  # nodes of the interface with their area weights
+    section: InterfaceSection  # nodes of the interface with their weights
     point: np.ndarray  # reference point, shape (3,), m
     axes: np.ndarray  # shape (3, 3), row i is the direction of its frame's axis i
     coupling: str
@@ -138,12 +138,17 @@ class ComponentModel:
         return None
 
     @property
+    def is_preloaded(self) -> bool:
+        """Whether self-weight or bolts, which always act, load the part at no wrench."""
+        return self.analysis.gravity is not None or bool(self.bolts)
+
+    @property
     def accelerated(self) -> bool:
         """Whether the acceleration is an input; it is then the last three."""
         return any(scalar.name in ACCELERATIONS for scalar in self.further)
 
     @property
-    def at_rest(self) -> np.ndarray:
+    def reference_inputs(self) -> np.ndarray:
         """Inputs without effect: zero loads, shape (6 i,), and the references of the others."""
         loads = np.zeros(len(FREEDOMS) * len(self.interfaces))
         return np.append(loads, [scalar.reference for scalar in self.further])
@@ -210,7 +215,7 @@ def build(bundle: Bundle, mesh: Mesh | None = None) -> ComponentModel:
     # Ties move their nodes onto the main surfaces, and constrain them to these.
     held[fixed], held[sliding[0]] = np.eye(3), sliding[1]
     occupied = [(frame.where, frame.section.node_ids) for frame in frames]
-    mesh, ties = joined(mesh, bundle.ties, held, occupied, problems)
+    mesh, ties = tie_surfaces(mesh, bundle.ties, held, occupied, problems)
     for i, tie in enumerate(ties):
         not_tied = ~np.isin(sliding[0], tie.nodes)
         sliding = sliding[0][not_tied], sliding[1][not_tied]
@@ -360,7 +365,7 @@ def _attach(
     """Return an interface with its section, by area where its nodes bound faces."""
     nodes = group_nodes(mesh, key, interface.section, problems)
     if not len(nodes):
-        section = InterfaceSection(nodes, np.empty(0), 0.0, np.zeros(3), by_area=False)
+        section = InterfaceSection(nodes, np.empty(0), None, np.zeros(3))
     else:
         if not _spans_a_plane(mesh.points[nodes]):
             count = "has 1 node" if len(nodes) == 1 else f"has {len(nodes)} nodes on one line"

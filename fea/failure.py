@@ -1,11 +1,20 @@
-"""Named failures of a solve, each with its remedy."""
+"""Named failures of a solve, each with its remedy, and the end of an outside program as text."""
 
 from __future__ import annotations
 
 import signal
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Literal
 
-REMEDIES = {
+import numpy as np
+
+_OfPart = Literal["mechanism", "inverted_elements", "locking_material", "yields"]
+_OfSolve = Literal["not_converged", "ill_conditioned", "snap_through", "rotation_too_large"]
+_OfDeck = Literal["bad_deck", "bad_output", "not_linear", "not_reciprocal"]
+_OfProgram = Literal["no_solver", "timed_out", "solver_failed"]
+FailureKind = _OfPart | _OfSolve | _OfDeck | _OfProgram
+
+REMEDIES: Mapping[FailureKind, str] = {
     # Newton's method ends before an equilibrium.
     "not_converged": (
         "Check that the part can carry this load; then try a smaller load, or a finer mesh where "
@@ -37,41 +46,38 @@ REMEDIES = {
         "Mesh that region with 27-node hexahedra (hex27; in gmsh Mesh.SecondOrderIncomplete = 0), "
         "which are accurate up to a ratio of 0.4999; for a higher ratio write 0.4999."
     ),
-    # A part of the volume, stated in the message, yields.
-    "yields": ('Or accept such answers: write on_yield = "warn" under [analysis].'),
+    # A part of the volume yields; the message ends with the remedy for the part itself.
+    "yields": 'Or accept such answers: write on_yield = "warn" under [analysis].',
 }
-"""The remedy of failures whose remedy does not depend on the place."""
+"""The remedy of each kind that has one for all places that raise it."""
 
 
 class SolveFailed(Exception):  # noqa: N818 - an outcome with a name, not a programming error
     """A solve without a reliable answer.
 
-    kind: ``not_converged``, ``mechanism``, ``ill_conditioned``, ``inverted_elements``,
-    ``snap_through``, ``rotation_too_large`` or ``locking_material``; for a deck also those of
-    `fea.deck.running`.
     message: the failure, in an FEA engineer's words.
-    remedy: the change to make; None takes that of `REMEDIES`.
+    remedy: the change to make; None takes that of `REMEDIES`, and is a KeyError for other kinds.
     """
 
-    history: tuple = ()  # the iterations up to the failure (`fea.solution.Iteration`)
-    # The part of the wrench at which the component snaps through or buckles, if known
-    load_factor: float | None = None
-    # The last converged state: its load factor, and the displacement of each mesh point in the
-    # mesh's axes, shape (n, 3), m; None if there is none.
-    last: tuple[float, Any] | None = None
-
-    def __init__(self, kind: str, message: str, remedy: str | None = None) -> None:
+    def __init__(self, kind: FailureKind, message: str, remedy: str | None = None) -> None:
         remedy = REMEDIES[kind] if remedy is None else remedy
         super().__init__(f"{kind}: {message} {remedy}")
-        self.kind = kind
+        self.kind: FailureKind = kind
         self.message = message
         self.remedy = remedy
+        # The iterations up to the failure: the fields of `fea.solution.Iteration`
+        self.history: tuple[tuple[float, int, float], ...] = ()
+        # The part of the wrench at which the component snaps through or buckles, if known
+        self.load_factor: float | None = None
+        # The last converged state: its load factor, and the displacement of each mesh point in the
+        # mesh's axes, shape (n, 3), m; None if there is none.
+        self.last: tuple[float, np.ndarray] | None = None
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self) -> tuple[Any, ...]:
         return SolveFailed, (self.kind, self.message, self.remedy), self.__dict__
 
 
-def ending(code: int) -> str:
+def exit_text(code: int) -> str:
     """Return the ending of a program as text, by its exit code or minus its signal."""
     if code == 0:
         return "reported an error"

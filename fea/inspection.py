@@ -182,7 +182,7 @@ def section_warnings(component: ComponentModel) -> Iterator[BundleProblem]:
     for interface in component.interfaces:
         section = interface.section
         key = f"{interface.key}.section"
-        if not section.by_area:
+        if section.area is None:
             message = (
                 "is a set of nodes that bounds no face, so all nodes have equal weights; for area "
                 "weights name a facet group, or all nodes of the face"

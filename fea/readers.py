@@ -125,7 +125,7 @@ _INCLUDED = re.compile(
 MAX_QUOTED = 400  # characters of a solver's output in a message: longer texts are cut
 
 
-class CalculixDat:
+class CalculixDat(DeckReader):
     """Reader "calculix-dat"; see the module."""
 
     # The three freedoms of a ROT NODE are the rotation vector, so the moment on them is conjugate
@@ -273,7 +273,7 @@ _BUILT_IN: dict[str, type[DeckReader]] = {"calculix-dat": CalculixDat, "numbers"
 
 def reader_names() -> tuple[str, ...]:
     """Return the names of all built-in and installed readers."""
-    return tuple(sorted({*_BUILT_IN, *(entry.name for entry in _offered())}))
+    return tuple(sorted({*_BUILT_IN, *(entry.name for entry in _entry_points())}))
 
 
 def reader_named(name: str) -> DeckReader:
@@ -283,11 +283,11 @@ def reader_named(name: str) -> DeckReader:
     """
     if name in _BUILT_IN:
         return _BUILT_IN[name]()
-    for entry in _offered():
+    for entry in _entry_points():
         if entry.name == name:
             return entry.load()()
     raise KeyError(name)
 
 
-def _offered() -> EntryPoints:
+def _entry_points() -> EntryPoints:
     return entry_points(group=ENTRY_POINTS)

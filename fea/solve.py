@@ -20,7 +20,7 @@ from wrenchbook.fea.coupling.coupling import each_interface, from_origin
 from wrenchbook.fea.deck.solving import solve_deck
 from wrenchbook.fea.element.pressure_projection import pressure_notes
 from wrenchbook.fea.equations import material_of_parts, system_of
-from wrenchbook.fea.export.failure_record import keep
+from wrenchbook.fea.export.failure_record import write_failure
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.inspection import coincidence_warnings, warnings_of
 from wrenchbook.fea.mesh.bodies import bodies_of, coincident_nodes
@@ -29,7 +29,7 @@ from wrenchbook.fea.recovery.stress import most_used, small_stress, stress_of, y
 from wrenchbook.fea.solution import Iteration, Loads, Progress, Solution, checked_wrench
 from wrenchbook.fea.solver.buckling import buckling_factors
 from wrenchbook.fea.solver.linear import LinearResponse, linear_response
-from wrenchbook.fea.solver.load_steps import LoadPath, at_rest, equilibrium_under_weight
+from wrenchbook.fea.solver.load_steps import LoadPath, equilibrium_at, equilibrium_under_weight
 from wrenchbook.fea.solver.newton import Equilibrium
 from wrenchbook.fea.solver.reduction import CraigBampton, craig_bampton
 from wrenchbook.fea.solver.third_derivatives import (
@@ -86,7 +86,7 @@ def solve(
         solution = solver.solve(solver.inputs(wrench), progress)
     except SolveFailed as failure:
         if folder is not None:
-            keep(folder, failure, component)
+            write_failure(folder, failure, component)
         raise
     if on_fields is not None:
         on_fields(solver.fields(solution))
@@ -105,7 +105,6 @@ class Solver:
     def __init__(self, bundle: Bundle | ComponentModel) -> None:
         self.component = bundle if isinstance(bundle, ComponentModel) else build(bundle)
         self._system = system_of(self.component)
-        self._hangs = bool(self.component.analysis.gravity or self.component.bolts)
 
     def inputs(self, wrench: Loads) -> np.ndarray:
         """Return the inputs of `solve` as a new array, shape (k,).
@@ -168,7 +167,7 @@ class Solver:
 
         Raises SolveFailed as `linear` does.
         """
-        if self._hangs or self._system.inputs > MAX_CURVATURE_INPUTS:
+        if self.component.is_preloaded or self._system.n_inputs > MAX_CURVATURE_INPUTS:
             return None
         return second_derivatives_at_rest(self._system)
 
@@ -190,7 +189,7 @@ class Solver:
             raise SolveFailed(failure.kind, message, failure.remedy) from None
 
     @cached_property
-    def at_rest(self) -> tuple[np.ndarray, np.ndarray]:
+    def unloaded_displacements(self) -> tuple[np.ndarray, np.ndarray]:
         """Linear displacements at no load, of interfaces (6 i,), m and rad, and nodes (n, 3), m.
 
         Those of nodes are from the mesh, before bolts are tightened.
@@ -239,13 +238,13 @@ class Solver:
         """
         self._system.undeformed.release()  # for `notes`, while no other factor is in memory
         if self._system.weight is None and self._tight is not None:
-            return at_rest(self._system, self._tight)
+            return equilibrium_at(self._system, self._tight)
         return equilibrium_under_weight(self._system, _check_rotation, start=self._tight)
 
     @property
     def compliance(self) -> np.ndarray:
         """The compliance at no load, shape (6 i, 6 i), m/N, rad/N and so on; symmetric."""
-        return self.linear.compliance[:, : self._system.coupling.freedoms]
+        return self.linear.compliance[:, : self._system.coupling.n_freedoms]
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
@@ -303,7 +302,7 @@ class Solver:
 
         Raises SolveFailed as `linear` does.
         """
-        return small_stress(self.body, self.linear.fields, self._system.coupling.freedoms)
+        return small_stress(self.body, self.linear.fields, self._system.coupling.n_freedoms)
 
     def stresses(self, solution: Solution) -> np.ndarray:
         """Return a solution's stresses at the integration points, shape (p, 6), Pa."""
@@ -317,7 +316,7 @@ class Solver:
 
         Raises ValueError and SolveFailed as `solve` and `linear` do.
         """
-        acting = self.inputs(wrench) - self.component.at_rest
+        acting = self.inputs(wrench) - self.component.reference_inputs
         fields = self.linear.fields @ acting
         return buckling_factors(self._system, fields, self._system.temperature(acting))
 
@@ -355,11 +354,11 @@ class Solver:
         started = time.perf_counter()
         inputs = self.inputs(wrench)
         # Loads on locked freedoms have no effect; further inputs act relative to their references.
-        acting = inputs - self.component.at_rest
-        loads = np.arange(self._system.coupling.freedoms)
+        acting = inputs - self.component.reference_inputs
+        loads = np.arange(self._system.coupling.n_freedoms)
         acting[np.setdiff1d(loads, self.component.active)] = 0.0
         analysis = self.component.analysis
-        if not analysis.nonlinear or not (acting.any() or self._hangs):
+        if not analysis.nonlinear or not (acting.any() or self.component.is_preloaded):
             solution = self._solve_linear(inputs, acting)
         else:
             try:
@@ -367,8 +366,8 @@ class Solver:
             except SolveFailed as failure:
                 raise self._of_bodies(failure) from None
         # If the loads alone exclude yielding, the answer's stresses are not needed.
-        by_loads_alone = not (analysis.nonlinear or self._hangs or self.body.expands)
-        if not (by_loads_alone and np.abs(acting) @ self._most_used <= 1.0):
+        others = analysis.nonlinear or self.component.is_preloaded or self.body.expands
+        if others or not np.abs(acting) @ self._most_used <= 1.0:
             exceeded = yielding(self.component, self.body, solution)
             if exceeded and analysis.on_yield == "fail":
                 raise SolveFailed("yields", exceeded)
@@ -381,13 +380,6 @@ class Solver:
     @cached_property
     def _most_used(self) -> np.ndarray:
         return most_used(self.component, self.body, self.linear.fields)
-
-    @cached_property
-    def _thermal(self) -> tuple[np.ndarray, float]:
-        """Internal forces per kelvin, (n, 3), N/K, and energy per square of it, J/K², at rest."""
-        at_rest = np.zeros((self.body.size, 3))
-        energy = self.body.at(1.0, finite=False).forces(at_rest)[1]
-        return self.body.thermal_rates(at_rest)[0], energy
 
     def _solve_linear(self, wrench: np.ndarray, acting: np.ndarray) -> Solution:
         """Return the linear answer of all inputs, (k,); `acting` are those with an effect."""
@@ -408,15 +400,15 @@ class Solver:
             work += tight.energies[-1, -1] + mutual
         if warming := self._system.temperature(acting):
             # It works on the change of the strain energy per kelvin; bolts are tight before it.
-            rates, square = self._thermal
+            rates, square = self._system.thermal_at_rest
             work += warming * np.vdot(rates, after) + 2 * warming**2 * square
             if tight is not None:
                 mutual = warming * np.vdot(rates, tight.sag)
                 energy += mutual
                 work += 2 * mutual
 
-        at_rest, nodes_at_rest = self.at_rest
-        displacement, nodes = displacement + at_rest, nodes + nodes_at_rest
+        unloaded, unloaded_nodes = self.unloaded_displacements
+        displacement, nodes = displacement + unloaded, nodes + unloaded_nodes
         _require_small_rotation(displacement)
         return Solution(
             wrench=wrench,
@@ -441,7 +433,7 @@ class Solver:
         start: CoupledState | None,
     ) -> Solution:
         """Return the nonlinear answer of all inputs, (k,); `acting` are those with an effect."""
-        unloaded = self.unloaded if self._hangs else None
+        unloaded = self.unloaded if self.component.is_preloaded else None
         tight = self._tight
         if start is not None and tight is not None:
             # Bolts keep the length of this solver's state; another solver's differs by roundoff.
@@ -507,7 +499,7 @@ class Solver:
 
     def _curvature(self, balance: Balance, tangent: Linearisation) -> np.ndarray | None:
         """Return the packed third derivatives at a state; None if linear, or of too many inputs."""
-        if not self.component.analysis.nonlinear or self._system.inputs > MAX_CURVATURE_INPUTS:
+        if not self.component.analysis.nonlinear or self._system.n_inputs > MAX_CURVATURE_INPUTS:
             return None
         return packed(third_derivatives(self._system, balance, tangent, self._origin))
 

@@ -55,7 +55,7 @@ def rotation_less_identity(vector: np.ndarray) -> np.ndarray:
 
 
 def spin_per_vector(vector: np.ndarray) -> np.ndarray:
-    """Return the left Jacobian of SO(3): (spatial spin) = J(r) (change of r), shape (3, 3)."""
+    """Return J(r), (3, 3), of (spatial spin) = J(r) (change of r): the left Jacobian of SO(3)."""
     X = skew(vector)
     _, b, c = _coefficients(vector)
     return np.eye(3, dtype=X.dtype) + b * X + c * (X @ X)

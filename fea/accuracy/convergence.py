@@ -152,7 +152,7 @@ def _order(change: float, first: float, second: float, third: float) -> float:
     return low
 
 
-def studied(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
+def convergence_study(bundle: Bundle, finer_meshes: Sequence[Path] = ()) -> Study:
     """Solve the component on its mesh and on finer meshes.
 
     finer_meshes: one or two files with the bundle's groups, in the unit of its mesh, each finer
@@ -211,8 +211,9 @@ def write(bundle: Bundle, study: Study) -> Path:
         "lacking": study.lacking.tolist(),
     }
     path = bundle.folder / FILE
-    path.write_text(json.dumps(content), encoding="utf-8")
-    return path
+    scratch = path.with_suffix(".part")  # a table's builder may read the study at this moment
+    scratch.write_text(json.dumps(content), encoding="utf-8")
+    return scratch.replace(path)
 
 
 def names_of(bundle: Bundle) -> list[str]:

@@ -25,7 +25,6 @@ from wrenchbook.fea.accuracy.advice import FINE
 from wrenchbook.fea.accuracy.convergence import FINER_UNKNOWNS, MIN_RATIO, coarser, finer, stored
 from wrenchbook.fea.accuracy.mesh_error import recovered_error
 from wrenchbook.fea.accuracy.roundness import roundness
-from wrenchbook.fea.coupling.coupling import PER_INTERFACE
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.mesh.quality import edge_lengths
 from wrenchbook.fea.solve import Solver
@@ -95,7 +94,7 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     # The corners that turn, or else move, each interface most, and their opposites. Of corners that
     # turn it alike, the most loaded: a pull along a beam turns nothing, and stiffens its bending.
     corners = loads.corners()
-    moved = (corners @ compliance.T).reshape(len(corners), -1, 2, PER_INTERFACE // 2)
+    moved = (corners @ compliance.T).reshape(len(corners), -1, 2, 3)
     moves, turns = np.moveaxis(np.linalg.norm(moved, axis=3), 2, 0)
     size = np.where(turns.any(axis=0), turns, moves)
     largest = np.abs(corners).max(axis=0)
@@ -105,7 +104,7 @@ def beyond_linear(solver: Solver, loads: DeclaredRange) -> BeyondLinear:
     chosen = (alike * loaded[:, None] * size).argmax(axis=0)
 
     scaled = np.full((len(_LOAD_FRACTIONS), len(compliance)), np.nan)
-    zero = solver.component.at_rest
+    zero = solver.component.reference_inputs
     why = ""
     lowest = np.inf
     for index in {min(index, len(corners) - 1 - index) for index in chosen.tolist()}:
@@ -155,7 +154,7 @@ def _at_corner(
     for part in parts:
         acting = part * wrench
         try:
-            solution = solver.solve(acting + solver.component.at_rest, start=start)
+            solution = solver.solve(acting + solver.component.reference_inputs, start=start)
         except SolveFailed as failure:
             why = why or failure.message
             if failure.load_factor is not None:
@@ -165,7 +164,7 @@ def _at_corner(
                 parts += [0.5 * part, _LAST_FRACTION * part * (failure.load_factor or 0.25)]
             continue
         start = solution.state
-        expected = solver.linear.compliance @ acting + solver.at_rest[0]
+        expected = solver.linear.compliance @ acting + solver.unloaded_displacements[0]
         if second is not None:
             expected += 0.5 * second @ acting @ acting
         remainder = np.abs(solution.displacement - expected) / part ** _order(solver)

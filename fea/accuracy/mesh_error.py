@@ -31,9 +31,8 @@ from wrenchbook.fea.tensors import deviator
 class _Piece(NamedTuple):
     """Cells of one kind and material."""
 
-    fields: (
-        np.ndarray
-    )  # shape (2, loads, cells, points, 3, 3): strains and stresses of the unit loads
+    # Shape (2, loads, cells, points, 3, 3): strains and stresses of the unit loads
+    fields: np.ndarray
     weights: np.ndarray  # shape (cells, points), m^3
     corners: np.ndarray  # shape (cells, corners), int64: nodes
     functions: np.ndarray  # shape (points, corners): linear shape functions of the corners

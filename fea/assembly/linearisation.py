@@ -21,8 +21,8 @@ class Balance:
     # if the body expands, and the accelerations that are inputs, m/s^2.
     wrench: np.ndarray
     forces: np.ndarray  # shape (n, 3), N: internal nodal forces, less weight and acceleration
-    energy: float  # Strain energy, J
-    least_stretch: float  # Smallest determinant of the deformation gradient
+    energy: float  # strain energy, J
+    least_stretch: float  # smallest determinant of the deformation gradient
     # nodal, border: the residuals: shape (n, 3), N, at the free nodes, zero at others; and
     # shape (border,), N and N·m for interface freedoms, m and m^2 for constraints.
     nodal: np.ndarray
@@ -64,7 +64,7 @@ class Linearisation:
         self.state = balance.state
         self.tangent = tangent
         self._body_force = body_force
-        first = coupling.freedoms
+        first = coupling.n_freedoms
         loads, self._temperature, _ = np.split(balance.wrench, [first, first + body.expands])
         self.border = coupling.bordered(balance.state, balance.forces, loads)
         pushed = tangent.times(self.border.constraint, coupling.constrained)
@@ -123,9 +123,9 @@ class Linearisation:
         nothing else, give the bordered matrix its negative eigenvalues.
         """
         factor, coupling = self.tangent.factor, self._coupling
-        if factor.definite and coupling.motions == coupling.active.size:
+        if factor.definite and coupling.n_motions == coupling.active.size:
             return self._least_compliance > 0
-        constraints = coupling.border - coupling.motions
+        constraints = coupling.n_border - coupling.n_motions
         if not (constraints or factor.definite) or not np.isfinite(self.schur).all():
             return False
         scale = self._border_scale
@@ -175,7 +175,7 @@ class Linearisation:
 
         The inputs are those of `Balance.wrench`.
         """
-        nodal = np.zeros((self._body.size, 3, self._coupling.freedoms))
+        nodal = np.zeros((self._body.size, 3, self._coupling.n_freedoms))
         border = self.wrench_columns
         further = self.further
         if not further.shape[2]:
@@ -195,7 +195,7 @@ class Linearisation:
     @cached_property
     def _free_response(self) -> np.ndarray:
         """Change of the free nodes by the further inputs, border fixed, (n, 3, k - 6 i), m/unit."""
-        return self.tangent.solve(self.load_columns[0][:, :, self._coupling.freedoms :])
+        return self.tangent.solve(self.load_columns[0][:, :, self._coupling.n_freedoms :])
 
     @cached_property
     def border_response(self) -> np.ndarray:
@@ -203,7 +203,7 @@ class Linearisation:
         loads = self.wrench_columns
         if self.further.shape[2]:
             loads = self.load_columns[1].copy()
-            loads[:, self._coupling.freedoms :] -= contract(self._columns, self._free_response)
+            loads[:, self._coupling.n_freedoms :] -= contract(self._columns, self._free_response)
         return self._solve_border(loads)
 
     @property
@@ -211,7 +211,7 @@ class Linearisation:
         """Change of all nodes per change of the inputs, shape (n, 3, k), m per unit of each."""
         moved = (self.border.constraint - self._solved) @ self.border_response
         if self.further.shape[2]:
-            moved[:, :, self._coupling.freedoms :] += self._free_response
+            moved[:, :, self._coupling.n_freedoms :] += self._free_response
         return moved
 
     def conjugate_rate(self, change: np.ndarray) -> np.ndarray:

@@ -46,18 +46,18 @@ class System:
         self.body_force = np.zeros((body.size, 3, 0)) if body_force is None else body_force
 
     @property
-    def inputs(self) -> int:
+    def n_inputs(self) -> int:
         """Number of inputs: six loads an interface, the temperature if any, accelerations."""
-        return self.coupling.freedoms + self.body.expands + self.body_force.shape[2]
+        return self.coupling.n_freedoms + self.body.expands + self.body_force.shape[2]
 
     def temperature(self, inputs: np.ndarray) -> float:
         """Return the temperature among inputs, shape (k,), K from the reference."""
-        return float(inputs[self.coupling.freedoms]) if self.body.expands else 0.0
+        return float(inputs[self.coupling.n_freedoms]) if self.body.expands else 0.0
 
     @property
     def unknowns(self) -> int:
         """Free nodal unknowns and freedoms of interfaces and bushings."""
-        return self.body.dissection.unknowns + self.coupling.motions
+        return self.body.dissection.unknowns + self.coupling.n_motions
 
     def balance(self, state: CoupledState, wrench: np.ndarray) -> Balance:
         """Return the residual of a state under inputs, shape (k,): see `Balance.wrench`."""
@@ -76,14 +76,14 @@ class System:
 
     def dead_forces(self, inputs: np.ndarray) -> np.ndarray:
         """Return the nodal forces of weight, bolts and acceleration, (n, 3), N, of inputs (k,)."""
-        forces = self.body_force @ inputs[self.coupling.freedoms + self.body.expands :]
+        forces = self.body_force @ inputs[self.coupling.n_freedoms + self.body.expands :]
         for constant in (self.weight, self.preload):
             forces = forces if constant is None else forces + constant
         return forces
 
     def reload(self, balance: Balance, wrench: np.ndarray) -> Balance:
         """Return the balance of the same state under other inputs, shape (k,)."""
-        first = self.coupling.freedoms
+        first = self.coupling.n_freedoms
         if (wrench[first:] != balance.wrench[first:]).any():
             return self.balance(balance.state, wrench)
         return self._balance(
@@ -139,15 +139,21 @@ class System:
     def balance_at_rest(self) -> Balance:
         """The undeformed, unloaded state."""
         state = self.coupling.start()
-        return self._balance(state, np.zeros(self.inputs), np.zeros_like(state.nodes), 0.0, 1.0)
+        return self._balance(state, np.zeros(self.n_inputs), np.zeros_like(state.nodes), 0.0, 1.0)
 
     def thermal_energy(self, balance: Balance) -> float:
         """Return the strain energy less that of the same displacement without temperature, J."""
         if not self.body.expands:
             return 0.0
         cold = balance.wrench.copy()
-        cold[self.coupling.freedoms] = 0.0
+        cold[self.coupling.n_freedoms] = 0.0
         return balance.energy - self.balance(balance.state, cold).energy
+
+    @cached_property
+    def thermal_at_rest(self) -> tuple[np.ndarray, float]:
+        """Internal forces, (n, 3), N/K, and energy, J/K², by temperature in the undeformed body."""
+        undeformed = np.zeros((self.body.size, 3))
+        return self.body.thermal_rates(undeformed)[0], self._per_kelvin[1]
 
     @cached_property
     def _per_kelvin(self) -> tuple[float, float]:
@@ -167,7 +173,7 @@ class System:
 
         forces: shape (n, 3), N: internal nodal forces. energy: J. least: least det F.
         """
-        nodal, border = self.coupling.residual(state, forces, wrench[: self.coupling.freedoms])
+        nodal, border = self.coupling.residual(state, forces, wrench[: self.coupling.n_freedoms])
         nodal = self.body.movable.released(nodal)
         thermal = (0.0, 0.0)
         temperature = self.temperature(wrench)

@@ -11,16 +11,16 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
+from wrenchbook.fea.bundle.fingerprint import fingerprint
 from wrenchbook.fea.bundle.tables import ComponentFile, MaterialTable
 from wrenchbook.fea.mesh.deck_content import integrations
 from wrenchbook.fea.mesh.generators import GENERATORS
 from wrenchbook.fea.readers import reader_named, reader_names
 from wrenchbook.fea.spec.deck_text import deck_text
-from wrenchbook.fea.spec.fingerprint import fingerprint
 from wrenchbook.fea.spec.keys import (
     keys_of,
     kind_of,
@@ -28,7 +28,7 @@ from wrenchbook.fea.spec.keys import (
     not_single,
     shown,
     unknown,
-    validated,
+    validate,
 )
 from wrenchbook.fea.spec.material import EXPANDING, AnyMaterial
 from wrenchbook.fea.spec.mesh_source import Generator, MeshFile, MeshSource
@@ -142,10 +142,10 @@ def bundle_of(table: Mapping[str, Any], folder: str | Path) -> Bundle:
         As `read_bundle` does.
     """
     reader = _Reader(table, Path(folder))
-    parts = reader.parts()
+    bundle = reader.bundle()
     if reader.problems:
         raise BundleError(reader.problems)
-    return Bundle(folder=Path(folder), fingerprint=fingerprint(parts), **parts)
+    return replace(bundle, fingerprint=fingerprint(bundle))
 
 
 class _Reader:
@@ -172,7 +172,7 @@ class _Reader:
             self.wrong(name, "must not be null; leave the key out")
             return None
         kind = kind or kind_of(keys_of(ComponentFile)[name])
-        return validated(kind, self.table[name], name, self.problems, self.folder)
+        return validate(kind, self.table[name], name, self.problems, self.folder)
 
     def read_each(self, name: str, kind: Any) -> list[Any]:
         """Return the values of an array of tables, None for each that cannot be used."""
@@ -189,7 +189,7 @@ class _Reader:
         else:
             paths = [f"{name}[{i}]" for i in range(len(values))]
             pairs = zip(values, paths, strict=True)
-            return [validated(kind, each, at, self.problems, self.folder) for each, at in pairs]
+            return [validate(kind, each, at, self.problems, self.folder) for each, at in pairs]
         return []
 
     @property
@@ -197,8 +197,8 @@ class _Reader:
         """Whether the interfaces are an array of tables."""
         return isinstance(self.table.get("interface"), list)
 
-    def parts(self) -> dict[str, Any]:
-        """Return the parts of a bundle; those with mistakes are None."""
+    def bundle(self) -> Bundle:
+        """Return the bundle without its fingerprint; parts with mistakes are None."""
         self.check_keys()
         mesh = self.mesh()
         materials = self.read_each("material", MaterialTable)
@@ -217,23 +217,25 @@ class _Reader:
         self.check_inputs(further, materials, interfaces)
         if loads is not None:
             self.check_count(loads, further, len(interfaces))
-        return {
-            "name": self.read("name"),
-            "title": self.read("title"),
-            "mesh": mesh,
-            "materials": tuple(materials),
-            "supports": self.read("supports"),
-            "ties": self.read("tie") or (),
-            "bolts": self.read("bolt") or (),
-            "joints": self.read("spring") or (),
-            "interface": interfaces[0] if interfaces else None,
-            "others": tuple(interfaces[1:]),
-            "analysis": analysis,
-            "range": loads,
-            "further": further,
-            "tolerance": self.read("tolerance"),
-            "deck": self.deck(),
-        }
+        return Bundle(
+            folder=self.folder,
+            name=self.read("name"),
+            title=self.read("title"),
+            mesh=mesh,
+            materials=tuple(materials),
+            supports=self.read("supports"),
+            ties=self.read("tie") or (),
+            bolts=self.read("bolt") or (),
+            joints=self.read("spring") or (),
+            interface=interfaces[0] if interfaces else None,
+            others=tuple(interfaces[1:]),
+            analysis=analysis,
+            range=cast("DeclaredRange", loads),
+            further=further,
+            tolerance=self.read("tolerance"),
+            deck=self.deck(),
+            fingerprint="",
+        )
 
     def check_keys(self) -> None:
         """Note keys that are missing, unknown or without effect beside another key."""

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from wrenchbook.fea.accuracy.convergence import studied, write
+from wrenchbook.fea.accuracy.convergence import convergence_study, write
 from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.reference import json_schema
 from wrenchbook.fea.check.proposal import propose
@@ -138,7 +138,7 @@ def converge(options: argparse.Namespace) -> Reply:
     """Solve a part on finer meshes and write the study beside its component."""
     _check_plot(options)
     bundle = read_bundle(options.folder)
-    file = write(bundle, studied(bundle, options.finer))
+    file = write(bundle, convergence_study(bundle, options.finer))
     study = json.loads(file.read_text(encoding="utf-8"))
     if options.plot is not None:
         write_plot(study, options.plot)

@@ -63,15 +63,14 @@ def estimate(component: ComponentModel) -> Cost:
     count = sum(len(nodes) for nodes in groups)
     entries = sum(len(nodes) * (3 * nodes.shape[1]) ** 2 for nodes in groups)
 
-    # A front that eliminates m of m + b unknowns takes m^3/3 + m^2 b + m b^2 multiply-adds and has
-    # m^2/2 + m b numbers.
+    # A front that eliminates m of m + b unknowns takes m^3/3 + m^2 b + m b^2 multiply-adds.
     cells = [nodes for group in groups for nodes in group]
     centres = np.concatenate([points[group].mean(axis=1) for group in groups])
-    operations = numbers = 0.0
-    for part in dissect(cells, centres, free).substructures:
+    dissection = dissect(cells, centres, free)
+    numbers, operations = dissection.numbers, 0.0
+    for part in dissection.substructures:
         m, b = float(part.eliminated), float(part.boundary.size)
         operations += m**3 / 3 + m * m * b + m * b * b
-        numbers += m * m / 2 + m * b
 
     assembly = _ENTRY_SECONDS * entries + _ORDER_SECONDS * count * np.log2(count + 1)
     factorisation = operations / _OPERATIONS_PER_SECOND

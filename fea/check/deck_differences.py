@@ -93,9 +93,9 @@ def contradictions(component: ComponentModel) -> list[BundleProblem]:
         if (tie.secondary, tie.main) not in written
     ]
     cases = [
-        [text for support in case.supports for text in _freed(component, support)]
-        + [text for coupled in case.couplings for text in _uncoupled(component, coupled, unit)]
-        + [text for spring in case.springs for text in _unsprung(component, spring, unit)]
+        [text for support in case.supports for text in _other_support(component, support)]
+        + [text for coupled in case.couplings for text in _other_coupling(component, coupled, unit)]
+        + [text for spring in case.springs for text in _other_spring(component, spring, unit)]
         for case in deck.cases
     ]
     messages += min(cases, key=len)  # a component is one case of its deck
@@ -118,7 +118,7 @@ def _other_material(
             yield f'{start}, which is {law}; the component has law = "{material.law}"'
             continue
         if material.orthotropic is not None:
-            yield from _turned(component, section, material.orthotropic, start, unit)
+            yield from _other_directions(component, section, material.orthotropic, start, unit)
         for key in filter(constants.__contains__, _COMPARED):
             three = key.replace("modulus", "moduli").replace("ratio", "ratios")
             value = getattr(material, three if orthotropic else key)
@@ -139,7 +139,7 @@ def _listed(values: Any, digits: int = 4) -> str:
     return ", ".join(f"{value:.{digits}g}" for value in np.ravel(values))
 
 
-def _turned(
+def _other_directions(
     component: ComponentModel, section: SolidSection, material: Orthotropic, start: str, unit: str
 ) -> Iterator[str]:
     """Yield differences of a material's directions from the deck's at the section's nodes."""
@@ -157,7 +157,7 @@ def _turned(
         yield f"{start} in other directions than the component: see its *ORIENTATION"
 
 
-def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
+def _other_support(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
     """Yield the number of nodes that are free in a direction in which the deck holds them."""
     nodes = group_nodes(component.mesh, "", group.group, [])  # empty if the mesh has no such group
     nodes = np.setdiff1d(nodes, component.fixed_nodes)
@@ -177,7 +177,7 @@ def _freed(component: ComponentModel, group: HeldGroup) -> Iterator[str]:
         )
 
 
-def _uncoupled(component: ComponentModel, group: CoupledGroup, unit: str) -> Iterator[str]:
+def _other_coupling(component: ComponentModel, group: CoupledGroup, unit: str) -> Iterator[str]:
     """Yield differences of a coupling of the deck from the component's with the same nodes."""
     nodes = group_nodes(component.mesh, "", group.group, [])
     attached = [*component.interfaces, *component.frames]
@@ -200,10 +200,10 @@ def _uncoupled(component: ComponentModel, group: CoupledGroup, unit: str) -> Ite
         yield f"{start} at ({here}) m; {same[0].key}.point is ({there}) m"
 
 
-def _unsprung(component: ComponentModel, spring: DeckSpring, unit: str) -> Iterator[str]:
+def _other_spring(component: ComponentModel, spring: DeckSpring, unit: str) -> Iterator[str]:
     """Yield differences of a spring of the deck, (6, 6), from that of the component's groups."""
     ends = [replace(end, point=spring.ends[0].point) for end in spring.ends]
-    yield from (text for end in ends for text in _uncoupled(component, end, unit))
+    yield from (text for end in ends for text in _other_coupling(component, end, unit))
     groups = {group_nodes(component.mesh, "", end.group, []).tobytes() for end in ends}
     expected = spring.stiffness_in_si(unit)
     there = np.zeros((6, 6))

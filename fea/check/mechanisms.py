@@ -113,20 +113,20 @@ def _motions_text(component: ComponentModel, motions: np.ndarray) -> str:
 
 def _neighbour(mesh: Mesh, bodies: Bodies, number: int, pairs: np.ndarray) -> str:
     """Describe a free body's contact with others: none, at shared or at coincident nodes."""
-    mine_nodes = bodies.nodes[number]
+    nodes = bodies.nodes[number]
     others = [n for n in range(bodies.count) if n != number]
-    shared = {n: len(np.intersect1d(mine_nodes, bodies.nodes[n])) for n in others}
+    shared = {n: len(np.intersect1d(nodes, bodies.nodes[n])) for n in others}
     joined = max(shared, key=lambda n: shared[n])
     if shared[joined]:
         return (
             f"It is joined to part {joined + 1} by only {shared[joined]} nodes on one line or at "
             "one point, which is a hinge; join the two by faces"
         )
-    mine = np.isin(pairs, mine_nodes)
-    twins = int((mine[:, 0] != mine[:, 1]).sum())
-    if twins:
-        return f"At {twins} of its nodes there are also nodes of another part; merge these pairs"
-    gaps = {n: gap(mesh, mine_nodes, bodies.nodes[n]) for n in others}
+    inside = np.isin(pairs, nodes)
+    doubled = int((inside[:, 0] != inside[:, 1]).sum())
+    if doubled:
+        return f"At {doubled} of its nodes there are also nodes of another part; merge these pairs"
+    gaps = {n: gap(mesh, nodes, bodies.nodes[n]) for n in others}
     nearest = min(gaps, key=lambda n: gaps[n])
     return (
         f"The nearest part is number {nearest + 1}, {1e3 * gaps[nearest]:.3g} mm away and without "

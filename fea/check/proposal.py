@@ -72,9 +72,9 @@ class _Proposal:
         self.groups = {*mesh.facet_groups, *mesh.node_groups}
         self.decide: list[str] = []
         self.skipped: list[str] = []
-        self.case = self.chosen(case)
+        self.case = self.choose_case(case)
 
-    def chosen(self, name: str | None) -> LoadCase:
+    def choose_case(self, name: str | None) -> LoadCase:
         """Return the case of a name, else the last; where cases differ, `decide` lists them.
 
         Raises BundleError if the deck has no case of this name.
@@ -154,7 +154,7 @@ class _Proposal:
         by_region = {section.region: section for section in sections}
         if not sections:
             by_region = {"all": SolidSection("", "all", "")}
-        elif len(kinds) == 1 and self.filled(sections):
+        elif len(kinds) == 1 and self.cover_mesh(sections):
             by_region = {"all": sections[-1]}
         lines = []
         for region, section in by_region.items():
@@ -191,7 +191,7 @@ class _Proposal:
         axis = _numbers(axes[3:], digits=_EXACT)
         return 'law = "orthotropic"', f"cylinder = {{point = {point}, axis = {axis}}}"
 
-    def filled(self, sections: list[SolidSection]) -> bool:
+    def cover_mesh(self, sections: list[SolidSection]) -> bool:
         """Return whether each cell is in a section."""
         for number, block in enumerate(self.mesh.blocks):
             cells = [self.mesh.regions[section.region][number] for section in sections]
@@ -236,7 +236,7 @@ class _Proposal:
             else:
                 rows = [_numbers(tuple(row), digits=_EXACT) for row in matrix.tolist()]
                 values = f"[{', '.join(rows)}]"
-            lines += [*self.attached(spring.ends[0]), f"stiffness = {values}"]
+            lines += [*self.coupling(spring.ends[0]), f"stiffness = {values}"]
         return lines
 
     def interfaces(self) -> list[str]:
@@ -265,6 +265,7 @@ class _Proposal:
         return lines
 
     def tie(self, tie: Tie) -> list[str]:
+        """Return the lines of a tie, its distance in m."""
         lines = ["", "[[tie]]", f"secondary = {_text(tie.secondary)}", f"main = {_text(tie.main)}"]
         if tie.distance:
             lines.append(f"distance = {tie.distance * UNITS[self.unit]:.9g}")
@@ -272,13 +273,13 @@ class _Proposal:
 
     def interface(self, group: CoupledGroup) -> list[str]:
         """Return section, point, coupling and locked freedoms of an interface."""
-        lines = [f"section = {_text(group.group)}", *self.attached(group)]
+        lines = [f"section = {_text(group.group)}", *self.coupling(group)]
         if group.held:
             locked = ", ".join(_text(FREEDOMS[i]) for i in sorted(group.held))
             lines.append(f"locked = [{locked}]")
         return lines
 
-    def attached(self, group: CoupledGroup) -> list[str]:
+    def coupling(self, group: CoupledGroup) -> list[str]:
         """Return point, coupling and weights of an interface or of a spring's end."""
         lines = [f"coupling = {_text(group.kind)}"]
         if group.point:

@@ -35,7 +35,7 @@ from wrenchbook.fea.inspection import (
 )
 from wrenchbook.fea.mesh.bodies import Bodies, bodies_of, coincident_nodes
 from wrenchbook.fea.mesh.cad.meshing import list_shape
-from wrenchbook.fea.mesh.face_choice import line
+from wrenchbook.fea.mesh.face_choice import toml_line
 from wrenchbook.fea.mesh.facets import Face
 from wrenchbook.fea.mesh.mesh import Mesh
 from wrenchbook.fea.mesh.quality import quality, quality_warnings
@@ -43,7 +43,7 @@ from wrenchbook.fea.mesh.sources import mesh_of, surface_of
 from wrenchbook.fea.mesh.surface import Surface
 from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.solver.vibration import Riding
-from wrenchbook.fea.spec.keys import keys_of, kind_of, validated
+from wrenchbook.fea.spec.keys import keys_of, kind_of, validate
 from wrenchbook.fea.spec.mesh_source import GEOMETRY_ENDINGS
 from wrenchbook.fea.spec.problems import BundleProblem
 
@@ -132,7 +132,7 @@ def surface_in(folder: Path, problems: list[BundleProblem] | None = None) -> Sur
         deck = content.get("deck", {})
         table = content.get("mesh") or {"unit": deck.get("unit", "m"), "file": deck["file"]}
         keys = {key: value for key, value in table.items() if key not in ("groups", "regions")}
-        source = validated(kind_of(keys_of(ComponentFile)["mesh"]), keys, "mesh", problems, folder)
+        source = validate(kind_of(keys_of(ComponentFile)["mesh"]), keys, "mesh", problems, folder)
         return None if source is None else surface_of(source)
     except BundleError as error:
         problems += error.problems
@@ -145,7 +145,7 @@ def listed(surface: Surface, face: Face) -> dict[str, Any]:
     """Return a face with the ``toml`` that selects it; lengths in m, areas in m^2."""
     if face.kind == "Cylinder" and face.axis is None:  # a face of a geometry file
         face = surface.cylinder(np.flatnonzero(surface.numbers == face.number), face) or face
-    return asdict(face) | {"toml": line(surface, face)}
+    return asdict(face) | {"toml": toml_line(surface, face)}
 
 
 def _geometry_named_in(folder: Path) -> Path | None:
@@ -325,7 +325,7 @@ def _section(interface: AttachedInterface) -> dict[str, Any]:
     name = {"name": interface.name} if interface.name else {}
     return name | {
         "nodes": len(section.node_ids),
-        "area": section.area if section.by_area else None,
+        "area": section.area,
         "centre": section.centre.tolist(),
         "point": interface.point.tolist(),
         "coupling": interface.coupling,

@@ -82,8 +82,8 @@ def _first_order_stresses(solver: Solver) -> list[LargestStress]:
         raise ValueError(f"[range] has {len(corners)} corners, {end}")
     unit = solver.unit_stresses()
     loads = corners
-    if component.analysis.gravity or component.bolts:  # a load that always acts
-        sag = small_stress(solver.body, solver.at_rest[1][:, :, None])
+    if component.is_preloaded:
+        sag = small_stress(solver.body, solver.unloaded_displacements[1][:, :, None])
         unit = np.concatenate((unit, sag), axis=2)
         loads = np.column_stack((corners, np.ones(len(corners))))
 

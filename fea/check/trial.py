@@ -89,7 +89,7 @@ def trial(solver: Solver, cost: Cost) -> tuple[Trial, list[BundleProblem]]:
         return result, []
     try:
         compliance = solver.linear.compliance
-        at_rest = solver.at_rest[0]
+        unloaded = solver.unloaded_displacements[0]
     except SolveFailed as failure:
         result["failed"] = True
         return result, [_problem(failure)]
@@ -100,7 +100,7 @@ def trial(solver: Solver, cost: Cost) -> tuple[Trial, list[BundleProblem]]:
 
     result["deflection"] = deflection(slice(None))
     if component.analysis.gravity is not None or component.analysis.zero == "untightened":
-        result["sag"] = at_rest.tolist()
+        result["sag"] = unloaded.tolist()
     if component.temperature is not None:  # the first input after the loads
         loads = len(component.bundle.range.low)
         result["by_temperature"] = deflection(slice(loads, loads + 1))

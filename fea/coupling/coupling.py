@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,11 @@ def each_interface(vector: np.ndarray) -> np.ndarray:
     return vector.reshape(-1, PER_INTERFACE)
 
 
+def rotations_in(size: int) -> list[slice]:
+    """Return the places of the rotation vectors, or moments, among `size` = 6 i displacements."""
+    return [slice(end - 3, end) for end in range(PER_INTERFACE, size + 1, PER_INTERFACE)]
+
+
 def largest_rotation(displacement: np.ndarray) -> float:
     """Return the largest rotation, rad, among displacements of shape (6 i,), m and rad."""
     return float(max(np.linalg.norm(interface[3:]) for interface in each_interface(displacement)))
@@ -35,8 +40,7 @@ def from_origin(interface: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, 
     """
     moved = interface - origin
     rates = np.eye(len(interface))
-    for first in range(PER_INTERFACE // 2, len(interface), PER_INTERFACE):
-        turn = slice(first, first + PER_INTERFACE // 2)
+    for turn in rotations_in(len(interface)):
         now, zero = interface[turn], origin[turn]
         if zero.any():
             moved[turn] = rotation_vector(rotation(now) @ rotation(zero).T)
@@ -52,10 +56,16 @@ class CoupledState:
     nodes: np.ndarray  # shape (n, 3), m: nodal displacements
     # Shape (6 i,), m and rad: translation and rotation vector of each of the i interfaces
     interface: np.ndarray
-    # Shape (6 i,), N and N/m: multipliers (l, m) of distributed couplings: node i feels w_i (l + m
-    # x b_i). Zero for rigid ones. Those of bushings follow, then the bushings' motions, six each, m
-    # and rad.
+    # Shape (6 (i + f),), N and N/m: multipliers (l, m) of the distributed couplings of interfaces,
+    # then of frames: node i feels w_i (l + m x b_i). Zero for rigid ones.
     multipliers: np.ndarray
+    # Shape (6 f,), m and rad: translation and rotation vector of each of the f frames
+    frames: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def motions(self) -> np.ndarray:
+        """A copy of the motions of interfaces, then of frames, shape (6 (i + f),), m and rad."""
+        return np.append(self.interface, self.frames)
 
 
 class Border(NamedTuple):
@@ -96,16 +106,18 @@ class SectionCoupling(ABC):
 
     All quantities are in the interface's frame, relative to its point: `points` of the section's
     nodes, (s, 3), m, undeformed. States, forces and fields are those of these nodes alone; the
-    border is six freedoms, with locked ones, and the `multipliers`.
+    border is six freedoms, with locked ones, and the multipliers.
     """
 
-    multipliers = 0
+    n_multipliers: ClassVar = 0
+    constrains: ClassVar = False
+    """Whether the interface alone places the section's nodes, which are no unknowns then."""
 
     def __init__(self, points: np.ndarray) -> None:
         self.points = points
 
     def node_positions(self, interface: np.ndarray) -> np.ndarray | None:
-        """Return the displacements, (s, 3), m, by an interface at (6,), m and rad; None if free."""
+        """Return the displacements, (s, 3), m, by an interface at (6,), if it `constrains` them."""
         return None
 
     @abstractmethod
@@ -115,7 +127,7 @@ class SectionCoupling(ABC):
         """Return the coupling's nodal forces, and the forces out of balance in the border.
 
         Internal forces have shape (s, 3), N, the wrench (6,), N and N·m; the results (s, 3), N, and
-        (6 + multipliers,): N and N·m for interface freedoms, m and m^2 for constraints.
+        (6 + n_multipliers,): N and N·m for interface freedoms, m and m^2 for constraints.
         """
 
     @abstractmethod
@@ -129,7 +141,7 @@ class SectionCoupling(ABC):
     def wrench_columns(self, state: CoupledState) -> np.ndarray:
         """Return minus the derivative of the border's residual by the wrench.
 
-        Shape (6 + multipliers, 6), dimensionless; rows of constraints are zero.
+        Shape (6 + n_multipliers, 6), dimensionless; rows of constraints are zero.
         """
 
     @abstractmethod
@@ -145,7 +157,7 @@ class SectionCoupling(ABC):
         forces: Shapes (s, 3), N, and (s, 3, k): internal nodal forces, and their change with k
         inputs.
         fields: shape (s, 3, k), m per unit of each: the nodes' change with the inputs.
-        border: shape (6 + multipliers, k): the border's change with them.
+        border: shape (6 + n_multipliers, k): the border's change with them.
         """
 
 
@@ -156,9 +168,9 @@ class _Attachment(NamedTuple):
     nodes: np.ndarray  # shape (s,): nodes of the section
     # (3, 3): turns a vector of the body to the interface's axes; None if they are the same.
     rotation: np.ndarray | None
-    freedoms: slice  # place of this interface's freedoms among all
-    chosen: np.ndarray  # indices of the section's border that are unknowns: locked freedoms are not
-    border: np.ndarray  # indices of these in the complete border
+    motions: slice  # this interface's or frame's six motions among all
+    unknowns: np.ndarray  # indices in the section's border of all but locked freedoms
+    border_indices: np.ndarray  # indices of these in the complete border
 
     def inwards(self, field: np.ndarray) -> np.ndarray:
         """Return a nodal field (n, 3, ...) of the body at the section: (s, 3, ...), in its axes."""
@@ -174,8 +186,16 @@ class _Attachment(NamedTuple):
         return np.einsum("ji,sj...->si...", self.rotation, field)
 
 
+class _Spring(NamedTuple):
+    """A spring from one frame to the ground, or between two."""
+
+    motions: np.ndarray  # shape (6,) or (12,): indices of its frames' motions among all
+    border_indices: np.ndarray  # of the same shape: their indices in the border
+    stiffness: np.ndarray  # shape (6, 6), N/m, N/rad and N·m/rad
+
+
 class Coupling:
-    """Interfaces and frames: one border of their freedoms, of anchors, and of multipliers.
+    """Interfaces and frames: one border of their motions, of anchors, and of multipliers.
 
     Nodes and forces are in the body's frame, displacements and wrenches in the interfaces'.
     Frames have no wrench; springs hold them to the ground or to each other. A bushing moves by q,
@@ -186,14 +206,20 @@ class Coupling:
     components are all in the border, leave a definite stiffness.
 
     size: number of the body's nodes.
-    sections: for each interface its coupling, its section's nodes, shape (s,), and its axes in
-    those of the body, shape (3, 3), in rows; None where they are the same. No two share a node.
+    sections: for each interface, then each frame, its coupling, its section's nodes, shape (s,),
+    and its axes in those of the body, shape (3, 3), in rows; None where they are the same. No two
+    share a node.
     active: shape (k,), int64: indices of the interfaces' freedoms that are not locked, ascending.
     anchors: shape (a,), int64: nodes that are in no rigid section.
-    frames: number of sections, the last ones, that are frames.
-    springs: the indices of one or two sections, and the stiffness, (6, 6), N/m, N/rad and N·m/rad.
-    freedoms, motions, border: numbers of unknowns: 6 i of i interfaces; those of the border that
-    are motions; all of the border, the multipliers last.
+    n_frames: number of sections, the last ones, that are frames.
+    springs: for each the indices of one or two sections, and its stiffness, shape (6, 6), N/m,
+    N/rad and N·m/rad.
+
+    Its attributes:
+    n_freedoms: 6 i for i interfaces, with locked ones.
+    n_motions: unknowns of the border that are displacements, in this order: active freedoms of
+    interfaces, all of frames, components of anchors.
+    n_border: all unknowns of the border: these, then the sections' multipliers.
     """
 
     def __init__(
@@ -202,91 +228,89 @@ class Coupling:
         sections: Sequence[tuple[SectionCoupling, np.ndarray, np.ndarray | None]],
         active: np.ndarray,
         anchors: np.ndarray,
-        frames: int = 0,
+        n_frames: int = 0,
         springs: Sequence[tuple[tuple[int, ...], np.ndarray]] = (),
     ) -> None:
         self.active = active
-        self._sprung = PER_INTERFACE * frames
-        self.freedoms = PER_INTERFACE * len(sections) - self._sprung
-        # The border in its order: active motions of interfaces and all of frames, the anchors'
-        # displacements, the sections' multipliers. All sections' motions, and places for their
-        # multipliers, are six each in the order of the sections.
-        self._moving = np.append(active, self.freedoms + np.arange(self._sprung))
-        self.motions = len(self._moving) + 3 * len(anchors)
-        self.border = self.motions + sum(section.multipliers for section, _, _ in sections)
+        self._n_frame_motions = PER_INTERFACE * n_frames
+        self.n_freedoms = PER_INTERFACE * len(sections) - self._n_frame_motions
+        self._active_motions = np.append(active, self.n_freedoms + np.arange(self._n_frame_motions))
+        self.n_motions = len(self._active_motions) + 3 * len(anchors)
+        self.n_border = self.n_motions + sum(section.n_multipliers for section, _, _ in sections)
         self._anchors = anchors
-        self._anchored = np.arange(len(self._moving), self.motions)
+        self._anchored = np.arange(len(self._active_motions), self.n_motions)
         self._size = size
-        self._attachments: list[_Attachment] = []
-        forced = [np.empty(0, dtype=int)]
-        next_multiplier = self.motions
-        for number, (section, nodes, axes) in enumerate(sections):
-            freedoms = slice(PER_INTERFACE * number, PER_INTERFACE * (number + 1))
-            moving = (freedoms.start <= self._moving) & (self._moving < freedoms.stop)
-            multipliers = np.arange(section.multipliers)
-            chosen = np.append(self._moving[moving] - freedoms.start, PER_INTERFACE + multipliers)
-            border = np.append(np.flatnonzero(moving), next_multiplier + multipliers)
-            self._attachments.append(_Attachment(section, nodes, axes, freedoms, chosen, border))
-            forced.append(freedoms.start + multipliers)
-            next_multiplier += section.multipliers
-        self._forced = np.concatenate(forced)
 
-        # For each spring the indices of its motions among all, and in the border.
-        self._springs: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        # A state has six motions and six multipliers of every section; the border has those that
+        # are unknowns.
+        self._attachments: list[_Attachment] = []
+        in_state = [np.empty(0, dtype=int)]  # indices in a state of the border's multipliers
+        next_multiplier = self.n_motions
+        for number, (section, nodes, axes) in enumerate(sections):
+            motions = slice(PER_INTERFACE * number, PER_INTERFACE * (number + 1))
+            of_section = np.flatnonzero(self._active_motions // PER_INTERFACE == number)
+            multipliers = np.arange(section.n_multipliers)
+            freedoms = self._active_motions[of_section] - motions.start
+            unknowns = np.append(freedoms, PER_INTERFACE + multipliers)
+            border = np.append(of_section, next_multiplier + multipliers)
+            self._attachments.append(_Attachment(section, nodes, axes, motions, unknowns, border))
+            in_state.append(motions.start + multipliers)
+            next_multiplier += section.n_multipliers
+        self._multiplier_indices = np.concatenate(in_state)
+
+        self._springs: list[_Spring] = []
         for numbers, stiffness in springs:
             ends = [self._attachments[number] for number in numbers]
-            at = np.concatenate([np.r_[end.freedoms] for end in ends])
-            border = np.concatenate([end.border[:PER_INTERFACE] for end in ends])
-            self._springs.append((at, border, stiffness))
+            motions = np.concatenate([np.r_[end.motions] for end in ends])
+            border = np.concatenate([end.border_indices[:PER_INTERFACE] for end in ends])
+            self._springs.append(_Spring(motions, border, stiffness))
 
     @property
     def constrained(self) -> np.ndarray:
         """Nodes that an interface moves and that are no unknowns, shape (k,), int64, indices."""
-        zero = np.zeros(PER_INTERFACE)
-        following = [
-            attached.nodes
-            for attached in self._attachments
-            if attached.section.node_positions(zero) is not None
-        ]
+        following = [part.nodes for part in self._attachments if part.section.constrains]
         return np.concatenate([self._anchors, *following])
 
     def start(self) -> CoupledState:
         """Return the undeformed state."""
-        further = np.zeros(self.freedoms + 2 * self._sprung)
-        return CoupledState(np.zeros((self._size, 3)), np.zeros(self.freedoms), further)
+        interface, frames = np.zeros(self.n_freedoms), np.zeros(self._n_frame_motions)
+        multipliers = np.zeros(self.n_freedoms + self._n_frame_motions)
+        return CoupledState(np.zeros((self._size, 3)), interface, multipliers, frames)
 
     def spring_energy(self, state: CoupledState) -> float:
         """Return the energy of the springs, J."""
-        motions, _ = self._unknowns(state)
-        parts = [(spring_motion.relative_motion(motions[at])[0], k) for at, _, k in self._springs]
-        return float(sum(0.5 * q @ k @ q for q, k in parts))
+        energy = 0.0
+        for spring in self._springs:
+            q, _ = spring_motion.relative_motion(state.motions[spring.motions])
+            energy += float(0.5 * q @ spring.stiffness @ q)
+        return energy
 
     def spring_energies(self, border: np.ndarray) -> np.ndarray:
         """Return twice the springs' mutual energies, shape (k, k), J, of motions (border, k)."""
         total = np.zeros((border.shape[1],) * 2)
-        for at, where, spring in self._springs:
-            motions = spring_motion.relative_motion(np.zeros(len(at)))[1] @ border[where]
-            total += motions.T @ spring @ motions
+        for spring in self._springs:
+            at_zero = np.zeros(len(spring.motions))
+            motions = spring_motion.relative_motion(at_zero)[1] @ border[spring.border_indices]
+            total += motions.T @ spring.stiffness @ motions
         return total
 
     def moved(self, state: CoupledState, nodes: np.ndarray, border: np.ndarray) -> CoupledState:
         """Return the state after a correction; rigid sections are placed exactly.
 
         nodes: shape (n, 3), m: the correction of the free nodes.
-        border: shape (border,): the correction of the interface freedoms, m and rad, and
-        multipliers, N and N/m.
+        border: shape (border,): the correction of the border's unknowns, m, rad, N and N/m.
         """
-        motions, multipliers = self._unknowns(state)
-        motions[self._moving] += border[: len(self._moving)]
-        multipliers[self._forced] += border[self.motions :]
+        motions, multipliers = state.motions, state.multipliers.copy()
+        motions[self._active_motions] += border[: len(self._active_motions)]
+        multipliers[self._multiplier_indices] += border[self.n_motions :]
         node_motions = state.nodes + nodes
         node_motions[self._anchors] += border[self._anchored].reshape(-1, 3)
         for attached in self._attachments:
-            local = attached.section.node_positions(motions[attached.freedoms])
+            local = attached.section.node_positions(motions[attached.motions])
             if local is not None:
                 node_motions[attached.nodes] = attached.outwards(local)
-        interface, sprung = np.split(motions, [self.freedoms])
-        return CoupledState(node_motions, interface, np.append(multipliers, sprung))
+        interface, frames = np.split(motions, [self.n_freedoms])
+        return CoupledState(node_motions, interface, multipliers, frames)
 
     def residual(
         self, state: CoupledState, forces: np.ndarray, wrench: np.ndarray
@@ -299,18 +323,17 @@ class Coupling:
         and m^2 for constraints.
         """
         nodal = forces.copy()
-        border = np.zeros(self.border)
-        loads = np.append(wrench, np.zeros(self._sprung))
+        border = np.zeros(self.n_border)
+        loads = np.append(wrench, np.zeros(self._n_frame_motions))
         for attached, local in self._parts(state):
             added, unbalanced = attached.section.residual(
-                local, attached.inwards(forces), loads[attached.freedoms]
+                local, attached.inwards(forces), loads[attached.motions]
             )
             nodal[attached.nodes] += attached.outwards(added)
-            border[attached.border] = unbalanced[attached.chosen]
-        motions, _ = self._unknowns(state)
-        for at, where, spring in self._springs:
-            q, change = spring_motion.relative_motion(motions[at])
-            border[where] += change.T @ (spring @ q)
+            border[attached.border_indices] = unbalanced[attached.unknowns]
+        for spring in self._springs:
+            q, change = spring_motion.relative_motion(state.motions[spring.motions])
+            border[spring.border_indices] += change.T @ (spring.stiffness @ q)
         border[self._anchored] = nodal[self._anchors].ravel()
         return nodal, border
 
@@ -321,25 +344,25 @@ class Coupling:
         wrench: shape (6 i,), N and N·m.
         """
         # Field by field in memory, for the factorisation.
-        constraint, columns = np.moveaxis(np.zeros((2, self.border, self._size, 3)), 1, 3)
-        block = np.zeros((self.border, self.border))
-        loads = np.append(wrench, np.zeros(self._sprung))
+        constraint, columns = np.moveaxis(np.zeros((2, self.n_border, self._size, 3)), 1, 3)
+        block = np.zeros((self.n_border, self.n_border))
+        loads = np.append(wrench, np.zeros(self._n_frame_motions))
         for attached, local in self._parts(state):
-            joined = attached.section.bordered(
-                local, attached.inwards(forces), loads[attached.freedoms]
+            added = attached.section.bordered(
+                local, attached.inwards(forces), loads[attached.motions]
             )
-            at = np.ix_(attached.nodes, np.arange(3), attached.border)
-            constraint[at] = attached.outwards(joined.constraint[:, :, attached.chosen])
-            columns[at] = attached.outwards(joined.columns[:, :, attached.chosen])
-            block[np.ix_(attached.border, attached.border)] = joined.block[
-                np.ix_(attached.chosen, attached.chosen)
+            at = np.ix_(attached.nodes, np.arange(3), attached.border_indices)
+            constraint[at] = attached.outwards(added.constraint[:, :, attached.unknowns])
+            columns[at] = attached.outwards(added.columns[:, :, attached.unknowns])
+            block[np.ix_(attached.border_indices, attached.border_indices)] = added.block[
+                np.ix_(attached.unknowns, attached.unknowns)
             ]
-        motions, _ = self._unknowns(state)
-        for at, where, spring in self._springs:
-            block[np.ix_(where, where)] += spring_motion.energy_hessian(motions[at], spring)
-        pushed = columns[self._anchors].reshape(len(self._anchored), self.border)
-        block[self._anchored] += pushed
-        block[:, self._anchored] += pushed.T
+        for spring in self._springs:
+            hessian = spring_motion.energy_hessian(state.motions[spring.motions], spring.stiffness)
+            block[np.ix_(spring.border_indices, spring.border_indices)] += hessian
+        of_anchors = columns[self._anchors].reshape(len(self._anchored), self.n_border)
+        block[self._anchored] += of_anchors
+        block[:, self._anchored] += of_anchors.T
         constraint[self._anchors[:, None], np.arange(3), self._anchored.reshape(-1, 3)] = 1.0
         return Border(constraint, columns, block)
 
@@ -348,12 +371,12 @@ class Coupling:
 
         Shape (border, 6 i), dimensionless; rows of constraints are zero.
         """
-        columns = np.zeros((self.border, self.freedoms))
+        columns = np.zeros((self.n_border, self.n_freedoms))
         for attached, local in self._parts(state):
-            if attached.freedoms.start < self.freedoms:
-                columns[attached.border, attached.freedoms] = attached.section.wrench_columns(
-                    local
-                )[attached.chosen]
+            if attached.motions.start < self.n_freedoms:
+                columns[attached.border_indices, attached.motions] = (
+                    attached.section.wrench_columns(local)[attached.unknowns]
+                )
         return columns
 
     def third(
@@ -379,18 +402,19 @@ class Coupling:
         Result: J over the units of three inputs.
         """
         total = np.zeros((border.shape[1],) * 3)
-        motions, _ = self._unknowns(state)
-        for at, where, spring in self._springs:
-            tensor = spring_motion.energy_third_derivatives(motions[at], spring)
-            moved = border[where]
+        for spring in self._springs:
+            tensor = spring_motion.energy_third_derivatives(
+                state.motions[spring.motions], spring.stiffness
+            )
+            moved = border[spring.border_indices]
             total += np.einsum("ijk,ia,jb,kc->abc", tensor, moved, moved, moved, optimize=True)
-        origins = np.append(origin, np.zeros(self._sprung))
+        origins = np.append(origin, np.zeros(self._n_frame_motions))
         for attached, local in self._parts(state):
-            moved = np.zeros((PER_INTERFACE + attached.section.multipliers, border.shape[1]))
-            moved[attached.chosen] = border[attached.border]
+            moved = np.zeros((PER_INTERFACE + attached.section.n_multipliers, border.shape[1]))
+            moved[attached.unknowns] = border[attached.border_indices]
             acting = attached.inwards(forces[0]), attached.inwards(forces[1])
             moments = attached.section.arm_moments(local, acting, attached.inwards(fields), moved)
-            zero = origins[attached.freedoms]
+            zero = origins[attached.motions]
             vector, rates = from_origin(local.interface, zero)
             back = rotation(zero[3:])
             turn = rates[3:, 3:] @ moved[3:PER_INTERFACE]
@@ -402,28 +426,23 @@ class Coupling:
 
         In m and rad, or both over the unit of a load; locked freedoms are zero.
         """
-        rows = np.zeros((self.freedoms, border.shape[1]))
+        rows = np.zeros((self.n_freedoms, border.shape[1]))
         rows[self.active] = border[: len(self.active)]
         return rows
 
     def _parts(self, state: CoupledState) -> Iterator[tuple[_Attachment, CoupledState]]:
         """Yield each section with the state of its nodes, in its interface's frame."""
-        motions, multipliers = self._unknowns(state)
         for attached in self._attachments:
-            nodes = attached.inwards(state.nodes)
-            freedoms = attached.freedoms
-            yield attached, CoupledState(nodes, motions[freedoms], multipliers[freedoms])
-
-    def _unknowns(self, state: CoupledState) -> tuple[np.ndarray, np.ndarray]:
-        """Return copies of the motions and multipliers of interfaces and bushings, six of each."""
-        multipliers, sprung = np.split(state.multipliers, [self.freedoms + self._sprung])
-        return np.append(state.interface, sprung), multipliers.copy()
+            nodes, at = attached.inwards(state.nodes), attached.motions
+            yield attached, CoupledState(nodes, state.motions[at], state.multipliers[at])
 
 
 def _third_of_rotation(vector: np.ndarray, turned: np.ndarray, arms: ArmMoments) -> np.ndarray:
     """Return the third derivatives of R(r) : N, shape (k, k, k), along changes of r, (3, k).
 
-    By the product rule R_abc : N + sum R_ab : N_c + sum R_a : N_bc; N_abc is zero.
+    By the product rule R_abc : N + sum R_ab : N_c + sum R_a : N_bc. N_abc is zero: N of a
+    distributed section is bilinear in its multipliers and displacements, and that of a rigid one
+    linear in the nodal forces, whose own derivatives are part of the body's.
     """
     _, first, second, third = rotation_derivatives(vector)
     once = np.einsum("ixy,xybc,ia->bca", first, arms.second, turned)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from wrenchbook.fea.failure import SolveFailed, ending
+from wrenchbook.fea.failure import SolveFailed, exit_text
 from wrenchbook.fea.readers import (
     MAX_QUOTED,
     DeckReader,
@@ -43,7 +43,7 @@ def missing_placeholders(deck: bytes) -> list[str]:
     return [placeholder for placeholder in PLACEHOLDERS if placeholder not in there]
 
 
-def filled(deck: bytes, loads: Sequence[float]) -> bytes:
+def insert_loads(deck: bytes, loads: Sequence[float]) -> bytes:
     """Return a deck's text with six numbers in place of the placeholders.
 
     A number has at most 20 characters, the most that CalculiX reads.
@@ -79,7 +79,7 @@ def run_deck(
     """
     metres = UNITS[deck.unit]
     loads = np.concatenate([wrench[:3], wrench[3:] / metres])
-    text = filled(deck.file.read_bytes(), loads.tolist())
+    text = insert_loads(deck.file.read_bytes(), loads.tolist())
     folder.mkdir(parents=True)
     for file in deck.files:
         shutil.copy(file, folder / file.name)
@@ -89,7 +89,7 @@ def run_deck(
     displacement = np.array(result.displacement, dtype=float)
     if displacement.shape != (6,) or not np.isfinite(displacement).all():
         message = f"The reader returned {result.displacement}, which is not six finite numbers."
-        raise bad_output(message, folder)
+        raise _bad_output(message, folder)
     return np.concatenate([displacement[:3] * metres, displacement[3:]]), result.unknowns
 
 
@@ -106,14 +106,14 @@ def _run(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> Re
             "smaller increments in the deck.",
         )
     if complaint is not None:
-        raise solver_failed(program, ending(code), complaint.quoted, run.folder)
+        raise _solver_failed(program, exit_text(code), complaint.quoted, run.folder)
     if code != 0:
         text = run.printed.read_text(encoding="utf-8", errors="replace").strip()
-        raise solver_failed(program, ending(code), text[-MAX_QUOTED:] or "nothing", run.folder)
+        raise _solver_failed(program, exit_text(code), text[-MAX_QUOTED:] or "nothing", run.folder)
     try:
         return reader.read(run, deck.output)
     except OutputError as error:
-        raise bad_output(str(error), run.folder) from None
+        raise _bad_output(str(error), run.folder) from None
 
 
 def _exit_code(deck: Deck, run: DeckRun, reader: DeckReader, progress: Progress) -> int:
@@ -186,7 +186,7 @@ def run_command(
     deadline = time.monotonic() + timeout
     child = None
     try:
-        with printed.open("wb") as file, _deferred(signal.SIGTERM):
+        with printed.open("wb") as file, _defer_signal(signal.SIGTERM):
             try:
                 child = subprocess.Popen(
                     command,
@@ -198,7 +198,7 @@ def run_command(
                 )
             except OSError as error:
                 raise CannotStartError(error.strerror or str(error)) from None
-        with _guarded(child.pid):
+        with _guard_group(child.pid):
             while True:
                 remaining = deadline - time.monotonic()
                 if remaining <= 0.0:
@@ -218,7 +218,7 @@ def run_command(
 
 
 @contextlib.contextmanager
-def _deferred(number: int) -> Iterator[None]:
+def _defer_signal(number: int) -> Iterator[None]:
     """Call a signal's handler after the block: it may raise before the child's pid is known."""
     handler = signal.getsignal(number)
     if not callable(handler) or threading.current_thread() is not threading.main_thread():
@@ -235,7 +235,7 @@ def _deferred(number: int) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _guarded(group: int) -> Iterator[None]:
+def _guard_group(group: int) -> Iterator[None]:
     """Kill a process group if this program is gone before the block ends."""
     guard = subprocess.Popen(
         ["/bin/sh", "-c", _GUARD, str(group)],
@@ -301,14 +301,14 @@ def deck_report(deck: Deck) -> tuple[dict[str, Any], list[BundleProblem]]:
     return summary, [BundleProblem("deck.command", message)]
 
 
-def solver_failed(program: str, ending: str, quoted: str, folder: Path) -> SolveFailed:
+def _solver_failed(program: str, ending: str, quoted: str, folder: Path) -> SolveFailed:
     """Return the failure that a program reports, by its exit code or in its output."""
     return SolveFailed(
         "solver_failed", f'"{program}" {ending}. It printed: {quoted}', _files_hint(folder)
     )
 
 
-def bad_output(message: str, folder: Path) -> SolveFailed:
+def _bad_output(message: str, folder: Path) -> SolveFailed:
     """Return the failure of output in which the interface's motion cannot be found."""
     return SolveFailed("bad_output", message, _files_hint(folder))
 

@@ -139,7 +139,7 @@ class CellState(ABC):
         stacked = P.transpose(0, 2, 1, 3).reshape(cells, 3, 3 * points)
         return stacked @ self.slopes.reshape(cells, 3 * points, nodes)
 
-    def stressed(self) -> np.ndarray:
+    def geometric_stiffness(self) -> np.ndarray:
         """Integrate dN_a . S dN_b, shape (cells, nodes, nodes), N/m: the geometric stiffness."""
         cells, points, _, nodes = self.slopes.shape
         below = self.slopes.reshape(cells, 3 * points, nodes)
@@ -193,7 +193,7 @@ class DenseState(CellState):
         np.matmul(below.swapaxes(1, 2), stress, out=out)
         if not self.undeformed:
             K = out.reshape(cells, 3, nodes, 3, nodes)
-            geometric = self.stressed()
+            geometric = self.geometric_stiffness()
             for axis in range(3):
                 K[:, axis, :, axis] += geometric
 

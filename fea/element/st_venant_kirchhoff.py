@@ -98,7 +98,7 @@ class _IsotropicState(CellState):
         stretch = self.F @ self.F.swapaxes(2, 3) * weights[..., None, None]
         total = stretch.reshape(cells, points, 9).swapaxes(1, 2) @ products
         total = total.reshape(cells, 3, 3, nodes, nodes)
-        geometric = self.stressed()
+        geometric = self.geometric_stiffness()
         for axis in range(3):
             total[:, axis, axis] += geometric
         return total

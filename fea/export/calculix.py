@@ -113,7 +113,7 @@ def _body(component: ComponentModel) -> Iterator[str]:
     if component.fixed_nodes.size:
         yield "FIXED, 1, 3"
     for interface in component.interfaces:
-        yield from (f"{_freedom_set(name, interface)}, {_axis(name)}" for name in interface.locked)
+        yield from (_freedom(name, interface) for name in interface.locked)
 
 
 def _springs(component: ComponentModel) -> Iterator[str]:
@@ -284,7 +284,7 @@ def _step(component: ComponentModel) -> Iterator[str]:
             if name in interface.locked:
                 yield f"** {placeholder} acts on a freedom that is held"
             else:
-                yield f"{_freedom_set(name, interface)}, {_axis(name)}, {placeholder}"
+                yield f"{_freedom(name, interface)}, {placeholder}"
     if component.temperature is not None:
         yield f"*TEMPERATURE\nALL, {further_placeholder(TEMPERATURE)}"
     for attached in component.interfaces:
@@ -320,14 +320,10 @@ def further_placeholder(name: str) -> str:
     return f"${name.upper()}"
 
 
-def _freedom_set(freedom: str, interface: AttachedInterface) -> str:
-    """Return the set of the node that has a freedom such as "ux" or "rz"."""
-    return _set("REF" if freedom.startswith("u") else "ROT", interface)
-
-
-def _axis(freedom: str) -> int:
-    """Return the number 1 to 3 of a freedom's axis."""
-    return "xyz".index(freedom[1]) + 1
+def _freedom(name: str, interface: AttachedInterface) -> str:
+    """Return the node set and the axis, 1 to 3, of a freedom such as "ux" or "rz"."""
+    kind = "REF" if name.startswith("u") else "ROT"
+    return f"{_set(kind, interface)}, {'xyz'.index(name[1]) + 1}"
 
 
 def _numbers(values: Iterable[float]) -> str:

@@ -22,7 +22,7 @@ HISTORY, LAST_STATE = "history.json", "last_state.vtu"  # files in the attempt's
 _MESHIO_NAMES = {kind: name for name, kind in MESHIO_KINDS.items()}
 
 
-def keep(folder: Path, failure: SolveFailed, component: ComponentModel) -> None:
+def write_failure(folder: Path, failure: SolveFailed, component: ComponentModel) -> None:
     """Write the history of a failure and the last converged state.
 
     ``history.json`` has the failure's kind, message and remedy, the load factor of the last

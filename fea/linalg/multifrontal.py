@@ -29,6 +29,7 @@ from scipy.linalg.lapack import get_lapack_funcs
 from threadpoolctl import ThreadpoolController
 
 from wrenchbook.fea.linalg.nested_dissection import Dissection, Substructure
+from wrenchbook.fea.tensors import TINY
 
 _BLAS = ("trsm", "syrk")
 _LAPACK = ("potrf", "trttf", "tfsm")
@@ -79,9 +80,8 @@ class _Stretch(NamedTuple):
 class Route(NamedTuple):
     """Destination of a child's condensed stiffness in its parent."""
 
-    indices: (
-        np.ndarray
-    )  # shape (n,), ascending: of the child's unknowns among the m + b of the parent
+    # Shape (n,), ascending: of the child's unknowns among the m + b of the parent
+    indices: np.ndarray
     pivots: int  # number of these unknowns that the parent eliminates
     stretches: list[_Stretch]  # in ascending order
 
@@ -241,7 +241,7 @@ class MultifrontalFactor:
         Result: shape (unknowns, k), m, in the same order.
         """
         # Single precision has a smaller range of exponents.
-        scale = np.abs(loads).max(axis=0, initial=1e-300) if self._single else 1.0
+        scale = np.abs(loads).max(axis=0, initial=TINY) if self._single else 1.0
         x = np.array(loads / scale, dtype=np.float32 if self._single else float, order="C")
         fronts = list(zip(self._dissection.substructures, self._fronts, strict=True))
         for part, front in fronts:

@@ -77,7 +77,7 @@ def cut_bolts(
         points = np.vstack([mesh.points, mesh.points[nodes], mesh.points[nodes].mean(axis=0)])
         mesh = replace(mesh, points=points, blocks=blocks)
     if cuts:
-        dependents = Dependents.of(len(mesh.points), Entries.joined(entries))
+        dependents = Dependents.of(len(mesh.points), Entries.concatenate(entries))
         mesh = replace(mesh, dependents=dependents)
     return mesh, tuple(cuts)
 

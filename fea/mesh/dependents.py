@@ -34,13 +34,9 @@ class Entries(NamedTuple):
     weights: np.ndarray  # shape (e,): part of the master's displacement
 
     @classmethod
-    def joined(cls, parts: Sequence[Entries]) -> Entries:
+    def concatenate(cls, parts: Sequence[Entries]) -> Entries:
         """Return all terms of several parts, at least one."""
-        return cls(
-            np.concatenate([part.nodes for part in parts]),
-            np.concatenate([part.masters for part in parts]),
-            np.concatenate([part.weights for part in parts]),
-        )
+        return cls(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 @dataclass(frozen=True, eq=False)

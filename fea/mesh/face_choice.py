@@ -218,7 +218,7 @@ def _check_sides(surface: Surface, chosen: np.ndarray, where: str) -> None:
             _refuse(where, message)
 
 
-def line(surface: Surface, face: Face) -> str:
+def toml_line(surface: Surface, face: Face) -> str:
     """Return the TOML that selects a face alone, in the simplest form."""
     members = surface.numbers == face.number
     centre = _short(*face.centre)

@@ -51,9 +51,8 @@ class PlaneMesh:
 
     # Shape (k, 2), m; the first `corners` of them are corner nodes, the others midside nodes
     points: np.ndarray
-    quads: (
-        np.ndarray
-    )  # shape (q, 8): four corners counter-clockwise, then the middles of the four edges
+    # Shape (q, 8): four corners counter-clockwise, then the middles of the four edges
+    quads: np.ndarray
     corners: int  # number of corner nodes
 
     @property

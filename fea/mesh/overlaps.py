@@ -58,8 +58,8 @@ def overlaps(
         at = np.einsum("cq,sci->sqi", _BARYCENTRIC, cuts)
         weights = np.abs(np.linalg.det(cuts[:, 1:] - cuts[:, :1]))[:, None] * _WEIGHTS
         nodes, opposite = points[first.nodes[facet]], points[second.nodes[other]]
-        here, converged = _located(first.kind, nodes @ flat, at)
-        there, converged_there = _located(second.kind, opposite @ flat, at)
+        here, converged = _functions_at(first.kind, nodes @ flat, at)
+        there, converged_there = _functions_at(second.kind, opposite @ flat, at)
         gaps = np.linalg.norm(here @ nodes - there @ opposite, axis=2)
         met = converged & converged_there & (gaps.max(axis=1) <= distance)
         yield Overlaps(facet[met], other[met], weights[met], here[met], there[met], gaps[met])
@@ -83,7 +83,7 @@ def _triangles(points: np.ndarray, block: FacetBlock) -> _Triangles:
     return _Triangles(corners, middles, radii, np.arange(len(corners)) // len(split))
 
 
-def _located(kind: str, nodes: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _functions_at(kind: str, nodes: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the shape functions (s, q, k) of flat facets (s, k, 2) at points (s, q, 2).
 
     By Newton's method; also whether it converges at all points of each facet, (s,), bool.

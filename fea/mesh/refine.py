@@ -18,17 +18,10 @@ from wrenchbook.fea.mesh.element_order import FIRST
 from wrenchbook.fea.mesh.facets import FaceFinder
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.mesh.reference_cell import node_coordinates, tabulate
-from wrenchbook.fea.spec.keys import keys_of
+from wrenchbook.fea.spec.keys import extra_of, keys_of
 from wrenchbook.fea.spec.mesh_source import Generator, GeometryFile
 from wrenchbook.fea.spec.problems import BundleError, BundleProblem
 from wrenchbook.fea.spec.schema import Bundle
-
-# The parameters of each generator that are numbers of cells; a finer mesh multiplies them.
-_COUNTS = {
-    "bar": ("cells_along", "cells_across"),
-    "plate": ("cells", "rings", "corner_cells", "layers"),
-    "spring": ("cells_per_turn", "core"),
-}
 
 
 def refined(bundle: Bundle, factor: float) -> Bundle | None:
@@ -49,10 +42,10 @@ def refined(bundle: Bundle, factor: float) -> Bundle | None:
     if not isinstance(mesh, Generator):
         return None
     counts = {}
-    for name in _COUNTS[mesh.generator]:
-        bounds = keys_of(type(mesh))[name].metadata
-        fewest = next(cast("int", bound.ge) for bound in bounds if isinstance(bound, Ge))
-        counts[name] = max(fewest, math.floor(mesh.parameters[name] * factor + 0.5))
+    for name, info in keys_of(type(mesh)).items():
+        if extra_of(info).get("unit") == "cells":
+            fewest = next(cast("int", bound.ge) for bound in info.metadata if isinstance(bound, Ge))
+            counts[name] = max(fewest, math.floor(mesh.parameters[name] * factor + 0.5))
     return replace(bundle, mesh=replace(mesh, **counts))
 
 

@@ -42,7 +42,7 @@ _MIN_INTEGRAL = 0.1
 _UNSURE = 0.02  # part of a facet, covered or not: roundoff, and gaps between curved facets
 # Part of a main facet that counts as all of it: on a round surface its projection is as small, at
 # 25 degrees.
-_WHOLE = 0.9
+_COMPLETE = 0.9
 _NEIGHBOURS = 8  # main nodes beside a sliding node, some on its plane of symmetry if the surface is
 _ROUNDOFF = 1e-9  # part of a projector: axes are written to about as many digits
 
@@ -72,7 +72,7 @@ class TiedNodes:
     within: float  # size of the largest main facet that is covered in part, over the tie's, or 0
 
 
-def joined(
+def tie_surfaces(
     mesh: Mesh,
     ties: Sequence[Tie],
     held: np.ndarray,
@@ -96,7 +96,7 @@ def joined(
         entries.append(mesh.dependents.entries)
         follows[mesh.dependents.nodes] = True
         used = [("[supports]", np.flatnonzero(held.any(axis=(1, 2)))), *sections]
-        problems += _shared(mesh, mesh.dependents.nodes, used, "mesh", _OF_DECK)
+        problems += _shared_nodes(mesh, mesh.dependents.nodes, used, "mesh", _OF_DECK)
 
     for i, pair in enumerate(ties):
         key = f"tie[{i}]"
@@ -113,7 +113,7 @@ def joined(
         tied, follow = tied_nodes(mesh.points, secondary, main, pair.distance, may_follow)
         if not tied.nodes.size:
             problems.append(BundleProblem(key, _why_untied(pair, tied, nearest, bound)))
-        problems += _shared(mesh, tied.nodes, sections, key, _OF_TIE)
+        problems += _shared_nodes(mesh, tied.nodes, sections, key, _OF_TIE)
         follows[tied.nodes] = True
         entries.append(follow)
         done.append(tied)
@@ -121,7 +121,7 @@ def joined(
         return mesh, ()
 
     try:
-        dependents = Dependents.of(len(mesh.points), Entries.joined(entries))
+        dependents = Dependents.of(len(mesh.points), Entries.concatenate(entries))
     except CircularError as error:
         at = point_text(mesh.points[error.node])
         message = f"the node at {at} m follows itself by several ties; swap the groups of a tie"
@@ -160,7 +160,7 @@ def _bound_nodes(
     return bound, float(distances.min())
 
 
-def _shared(
+def _shared_nodes(
     mesh: Mesh, nodes: np.ndarray, uses: Sequence[tuple[str, np.ndarray]], key: str, text: str
 ) -> Iterator[BundleProblem]:
     """Yield a problem at `key` for each use, a key and nodes, that has some of `nodes`.
@@ -272,18 +272,18 @@ def tied_nodes(
             )
 
     tied = free & (covered > _MIN_INTEGRAL * complete)
-    follow = _followed(entries, tied, covered, ends)
+    follow = _entries_of_nodes(entries, tied, covered, ends)
     untied = len(secondary.node_ids) - int(tied.sum())
     # The size of the largest main facet that is covered in part: the diagonal of a square.
     areas, tied_areas = np.concatenate(main_areas), np.concatenate(main_covered)
-    is_part = (_UNSURE * areas < tied_areas) & (tied_areas < _WHOLE * areas)
+    is_part = (_UNSURE * areas < tied_areas) & (tied_areas < _COMPLETE * areas)
     part_area = areas[is_part].max(initial=0.0)
     within = float(np.sqrt(2 * part_area / tied_areas.sum())) if part_area else 0.0
     return TiedNodes(np.flatnonzero(tied), untied, max_gap, distance, cut, beyond, within), follow
 
 
 def _areas(points: np.ndarray, block: FacetBlock) -> np.ndarray:
-    """Return the area of each facet between its corners, (f,), m^2."""
+    """Return each facet's area between its corners, (f,), m^2."""
     at = points[block.nodes[:, : corners_of(block.kind)]]
     across = np.cross(at, np.roll(at, -1, axis=1))
     return np.linalg.norm(across.sum(axis=1), axis=1) / 2
@@ -296,9 +296,8 @@ class _Mixed(NamedTuple):
     facets: np.ndarray  # shape (s,), int64: the secondary facet
     main_facets: np.ndarray  # shape (s,), int64: the facet of the main block
     masters: np.ndarray  # shape (s, l), int64: nodes of the main facet
-    products: (
-        np.ndarray
-    )  # shape (s, k, l), m^2: of transformed functions and those of the main facet
+    # Shape (s, k, l), m^2: of transformed functions and those of the main facet
+    products: np.ndarray
     gaps: np.ndarray  # shape (s, q), m: distance between both facets
     areas: np.ndarray  # shape (s,), m^2
 
@@ -373,7 +372,7 @@ def _mean_planes(points: np.ndarray, kind: str, nodes: np.ndarray) -> tuple[np.n
     return plane, np.abs(areas) * element.weights
 
 
-def _followed(
+def _entries_of_nodes(
     entries: Sequence[Entries], tied: np.ndarray, covered: np.ndarray, ends: np.ndarray
 ) -> Entries:
     """Return the dependences of the tied nodes from those of transformed unknowns.
@@ -383,7 +382,7 @@ def _followed(
     ends: shape (n, 2): ends of the edge whose middle a node is, -1 for a corner.
     """
     empty = Entries(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0))
-    rows, masters, weights = Entries.joined([empty, *entries])
+    rows, masters, weights = Entries.concatenate([empty, *entries])
     rows, masters, weights = rows[tied[rows]], masters[tied[rows]], weights[tied[rows]]
     halved = ends[:, 0] >= 0
     weights = weights / covered[rows] * np.where(halved[rows], 1 - 2 * _ALPHA, 1.0)

@@ -54,7 +54,6 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
     solution: with its `tangents`.
     """
     linear, axes = not component.analysis.nonlinear, component.axes
-    has_preload = component.analysis.gravity is not None or bool(component.bolts)
     nodes = solution.nodes @ axes.T
     assert solution.tangents is not None
     slopes = np.einsum("ij,njk->nik", axes, solution.tangents)
@@ -74,14 +73,14 @@ def fields_of(component: ComponentModel, body: ElasticBody, solution: Solution) 
         displacement=nodes[surface.nodes],
         displacement_slopes=slopes[surface.nodes],
         stress=stress[shown],
-        stress_slopes=changes[shown] if shown.stop is None else changes[:0],
+        stress_slopes=changes[shown],
         places=points[shown],
         materials=materials[shown],
         regions=regions,
         largest=float(equivalent[worst]),
         largest_at=(float(points[worst, 0]), float(points[worst, 1]), float(points[worst, 2])),
         largest_region=regions[int(materials[worst])],
-        weight=has_preload,
+        weight=component.is_preloaded,
     )
 
 
@@ -96,9 +95,9 @@ def _stresses(
     loads = len(solution.displacement)
     if not component.analysis.nonlinear:
         changes = small_stress(body, slopes, loads)
-        if component.analysis.gravity is not None or component.bolts:
+        if component.is_preloaded:
             return stress_of(component, body, solution), changes
-        return changes @ (solution.wrench - component.at_rest), changes
+        return changes @ (solution.wrench - component.reference_inputs), changes
     # Changes that are not stored are not computed: they take six times the stresses.
     fields = slopes if shown.stop is None else slopes[:, :, :0]
     nodes = solution.nodes @ component.axes.T
@@ -130,12 +129,12 @@ def shown_surface(mesh: Mesh, max_vertices: int = MAX_VERTICES) -> ShownSurface:
     triangles = flat.reshape(-1, 3)
     count = len(nodes)
     if count > max_vertices:
-        vertices, triangles = _clustered(mesh.points[nodes], triangles, max_vertices)
+        vertices, triangles = _cluster(mesh.points[nodes], triangles, max_vertices)
         nodes = nodes[vertices]
     return ShownSurface(nodes, triangles.astype(np.int32), count)
 
 
-def _clustered(
+def _cluster(
     points: np.ndarray, triangles: np.ndarray, max_vertices: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the remaining points, (v,), and the triangles between these, (t, 3).

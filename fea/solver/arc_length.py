@@ -9,7 +9,7 @@ control finds no state or, worse, a state on a far branch.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -34,10 +34,9 @@ _MIN_COSINE = 0.7  # cosine of the largest angle by which a path may turn in one
 class Ending(NamedTuple):
     """The reason for which a path ends."""
 
-    # ``"reached"``: the full load, by stable states all along; ``"limit"``: the load has a maximum
-    # on the path; ``"bifurcation"``: the states become unstable while the load still grows;
-    # ``"lost"``: no equilibrium further on converged.
-    kind: str
+    # The full load, by stable states all along; a maximum of the load on the path; states that
+    # become unstable while the load still grows; or no equilibrium further on that converged.
+    kind: Literal["reached", "limit", "bifurcation", "lost"]
     factor: float  # part of the load: the largest with a stable state on this path
     equilibrium: Equilibrium  # the last state, beyond the full load if it was reached
 
@@ -165,8 +164,8 @@ class ArcPath:
             if not np.isfinite(balance.norm):
                 return None
             if consistent and step.converged:
-                settled = tangent_after(system, step, tangent)
-                return size, Equilibrium(balance, settled, iteration)
+                at_state = tangent_after(system, step, tangent)
+                return size, Equilibrium(balance, at_state, iteration)
             consistent = step.nearly
             tangent = system.linearise(balance, None if consistent else step.aim)
             moved, edge = tangent.correction(balance)

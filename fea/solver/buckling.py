@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 
 from wrenchbook.fea.assembly.body import ElasticBody, gather
 from wrenchbook.fea.assembly.system import System
-from wrenchbook.fea.solver.vibration import Inertia, assembled
+from wrenchbook.fea.solver.vibration import Inertia, assemble
 
 # Number of modes of a subspace iteration, of both signs. The two extreme modes converge at the
 # ratio of the ninth eigenvalue to theirs.
@@ -38,14 +38,14 @@ def buckling_factors(system: System, fields: np.ndarray, temperature: float) -> 
     matrix = geometric_stiffness(system.body.at(temperature, finite=False), fields)
     if not matrix.count_nonzero():
         return np.inf, np.inf
-    stressed = Inertia(system, -matrix, np.zeros((system.coupling.freedoms,) * 2))
+    stressed = Inertia(system, -matrix, np.zeros((system.coupling.n_freedoms,) * 2))
 
     modes = min(_MODES, stressed.size)
     motions = np.random.default_rng(_BUCKLING_SEED).standard_normal((modes, stressed.size))
     extremes = np.zeros(2)  # smallest and largest eigenvalue of K^-1 (-G)
     for _ in range(_ITERATIONS):
         loads = np.stack([stressed.times(motion) for motion in motions])
-        moved = stressed.solved(loads)
+        moved = stressed.solve(loads)
         stiffness = moved @ loads.T
         geometric = moved @ np.stack([stressed.times(motion) for motion in moved]).T
         # The best eigenvalues in the space of these motions, by a basis with x' K x = 1.
@@ -70,7 +70,7 @@ def geometric_stiffness(body: ElasticBody, fields: np.ndarray) -> csr_array:
         cells, points, _, count = slopes.shape
         gradients = slopes.reshape(cells, 3 * points, count).swapaxes(1, 2)
         matrices = gradients @ pulled.reshape(cells, 3 * points, count)
-        total = total + assembled(nodes, matrices, body.size)
+        total = total + assemble(nodes, matrices, body.size)
     return total
 
 

@@ -50,10 +50,10 @@ def linear_response(system: System) -> LinearResponse:
     ``ill_conditioned`` if the compliance is not symmetric, or not equal to its strain energies, by
     more than 1e-6, or corrections do not become small.
     """
-    fields, border, correction = _refined(system, system.undeformed)
+    fields, border, correction = _unit_solutions(system, system.undeformed)
     condition = system.condition
     displacements = system.coupling.displacement_rows(border)
-    loads = system.coupling.freedoms
+    loads = system.coupling.n_freedoms
     compliance = displacements[:, :loads]
     scale = np.sqrt(np.abs(np.diagonal(compliance)))
     scale = np.where(scale > 0, scale, 1.0)
@@ -72,15 +72,15 @@ def linear_response(system: System) -> LinearResponse:
         )
 
     compliance = 0.5 * (compliance + compliance.T)
-    inputs = system.inputs
+    inputs = system.n_inputs
     if inputs > loads:
         compliance = np.hstack([compliance, displacements[:, loads:inputs]])
     if system.body.expands:
-        at_rest = np.zeros((system.body.size, 3))
-        conjugate = contract(system.body.thermal_rates(at_rest)[0][:, :, None], fields)[0]
+        rates, square = system.thermal_at_rest
+        conjugate = contract(rates[:, :, None], fields)[0]
         energies[loads] += conjugate
         energies[:, loads] += conjugate
-        energies[loads, loads] += 2 * system.body.at(1.0, finite=False).forces(at_rest)[1]
+        energies[loads, loads] += 2 * square
 
     fields = system.body.expanded(fields)
     sag = fields[:, :, inputs:].sum(axis=2)
@@ -89,7 +89,7 @@ def linear_response(system: System) -> LinearResponse:
     return LinearResponse(compliance, energies, fields, asymmetry, energy_gap, sag, moved)
 
 
-def _refined(system: System, start: Linearisation) -> tuple[np.ndarray, np.ndarray, float]:
+def _unit_solutions(system: System, start: Linearisation) -> tuple[np.ndarray, np.ndarray, float]:
     """Return nodal fields, (n, 3, k), border, (border, k), and the size of the last correction.
 
     The k columns are the unit inputs, and self-weight last. Iterative refinement: the residual
@@ -105,7 +105,7 @@ def _refined(system: System, start: Linearisation) -> tuple[np.ndarray, np.ndarr
 
     nodes, moved = start.solve(acting, loads)
     size = 0.0
-    first = system.coupling.freedoms
+    first = system.coupling.n_freedoms
     for _ in range(_MAX_CORRECTIONS):
         fields = nodes + border.constraint @ moved
         forces = system.body.small_strain_forces(fields)

@@ -9,7 +9,7 @@ import numpy as np
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation, contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling.coupling import CoupledState, each_interface
-from wrenchbook.fea.failure import SolveFailed
+from wrenchbook.fea.failure import FailureKind, SolveFailed
 from wrenchbook.fea.solution import Iteration, Progress
 from wrenchbook.fea.solver.arc_length import ArcPath
 from wrenchbook.fea.solver.newton import (
@@ -231,7 +231,7 @@ class LoadPath:
         if equilibrium.iterations <= _FEW_ITERATIONS:
             self._step *= GROWTH
 
-    def _halve(self, reason: str, kind: str | None = None) -> None:
+    def _halve(self, reason: str, kind: FailureKind | None = None) -> None:
         """Take a step back; raise SolveFailed if it already was the shortest.
 
         kind: kind of the failure then; None decides between a part that softens and a bad
@@ -305,8 +305,8 @@ def equilibrium_under_weight(
     assert system.weight is not None
     further = system.weight[:, :, None]
     growing = System(system.body, system.coupling, body_force=further, preload=system.preload)
-    unloaded = None if start is None else at_rest(growing, start)
-    path = LoadPath(growing, np.eye(growing.inputs)[-1], None, unloaded, load)
+    unloaded = None if start is None else equilibrium_at(growing, start)
+    path = LoadPath(growing, np.eye(growing.n_inputs)[-1], None, unloaded, load)
     try:
         equilibrium = path.follow(check)
     except SolveFailed as failure:
@@ -317,13 +317,13 @@ def equilibrium_under_weight(
         other = SolveFailed(failure.kind, message, remedy)
         other.last = path.last_state()
         raise other from None
-    balance = system.balance(equilibrium.balance.state, np.zeros(system.inputs))
+    balance = system.balance(equilibrium.balance.state, np.zeros(system.n_inputs))
     stiffness = equilibrium.tangent.tangent
     tangent = Linearisation(system.body, system.coupling, balance, stiffness, system.body_force)
     return Equilibrium(balance, tangent, equilibrium.iterations)
 
 
-def at_rest(system: System, state: CoupledState) -> Equilibrium:
+def equilibrium_at(system: System, state: CoupledState) -> Equilibrium:
     """Return the equilibrium of no inputs from its state."""
-    balance = system.balance(state, np.zeros(system.inputs))
+    balance = system.balance(state, np.zeros(system.n_inputs))
     return Equilibrium(balance, system.linearise(balance), 0)

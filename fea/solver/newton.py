@@ -141,7 +141,7 @@ def find_equilibrium(
             raise Stuck(message, at_roundoff=True)
 
         consistent = step.nearly
-        balance = _settled(system, step, tangent) if consistent else balance
+        balance = _repeat_correction(system, step, tangent) if consistent else balance
         if iteration == 1:
             # The caller keeps the tangent, and its factor would stay in memory beside each next
             # factor.
@@ -176,7 +176,7 @@ def correct(
     return Correction(after, (balance.state.nodes + change, change), size, energy)
 
 
-def _settled(system: System, step: Correction, tangent: Linearisation) -> Balance:
+def _repeat_correction(system: System, step: Correction, tangent: Linearisation) -> Balance:
     """Return the state after further corrections with the same tangent, while each is much smaller.
 
     These cost a solve with factors at hand and no new ones (the modified Newton method). They prove

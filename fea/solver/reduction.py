@@ -60,7 +60,7 @@ def craig_bampton(
     Raises ValueError if freedoms are locked, nothing has a mass, or the part has fewer modes.
     Raises SolveFailed of kind ``mechanism`` or ``ill_conditioned`` if the equations are singular.
     """
-    count = system.coupling.freedoms
+    count = system.coupling.n_freedoms
     inertia = Inertia(system, mass, np.zeros((count, count)))
     (_, origin, _), *moving = frames
     freedoms = inertia.active.size
@@ -109,7 +109,7 @@ def _held_modes(inertia: Inertia, shapes: np.ndarray, count: int) -> tuple[np.nd
     interface_rows = slice(inertia.first, inertia.first + inertia.active.size)
 
     def held(loads: np.ndarray) -> np.ndarray:
-        moved = inertia.solved(loads)
+        moved = inertia.solve(loads)
         return moved - shapes @ moved[interface_rows]
 
     start = held(np.random.default_rng(_HELD_SEED).standard_normal(inertia.size))

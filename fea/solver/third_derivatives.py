@@ -14,7 +14,7 @@ import numpy as np
 from wrenchbook.fea.assembly.linearisation import Balance, Linearisation, contract
 from wrenchbook.fea.assembly.system import System
 from wrenchbook.fea.coupling import Coupling
-from wrenchbook.fea.coupling.coupling import PER_INTERFACE, from_origin
+from wrenchbook.fea.coupling.coupling import from_origin, rotations_in
 from wrenchbook.fea.element.cell_state import CellState, symmetrised
 from wrenchbook.fea.tensors import COMPLEX_STEP, skew, spin_per_vector, spin_slope
 
@@ -51,12 +51,11 @@ def load_rates(coupling: Coupling, balance: Balance, compliance: np.ndarray) -> 
     `compliance` has shape (6 i, k), m and rad over the inputs' units.
     """
     rates = np.eye(len(balance.wrench))
-    for first in range(PER_INTERFACE // 2, len(compliance), PER_INTERFACE):
-        rotations = slice(first, first + PER_INTERFACE // 2)
+    for rotations in rotations_in(len(compliance)):
         vector = balance.state.interface[rotations]
         rates[rotations, rotations] = spin_per_vector(vector).T
         rates[rotations] += spin_slope(vector, balance.wrench[rotations]) @ compliance[rotations]
-    locked = np.setdiff1d(np.arange(coupling.freedoms), coupling.active)
+    locked = np.setdiff1d(np.arange(coupling.n_freedoms), coupling.active)
     rates[locked], rates[:, locked] = 0.0, 0.0
     rates[locked, locked] = 1.0
     return rates
@@ -74,12 +73,12 @@ def third_derivatives(
     where an index is that of a locked freedom.
     """
     state, inputs, coupling = balance.state, balance.wrench, system.coupling
-    active = np.append(coupling.active, np.arange(coupling.freedoms, len(inputs)))
+    active = np.append(coupling.active, np.arange(coupling.n_freedoms, len(inputs)))
     tensor = np.zeros((len(inputs),) * 3)
     if not active.size:
         return tensor
 
-    origin = np.zeros(coupling.freedoms) if origin is None else origin
+    origin = np.zeros(coupling.n_freedoms) if origin is None else origin
     moved, turns = from_origin(state.interface, origin)
     counted = replace(balance, state=replace(state, interface=moved))
     rates = load_rates(coupling, counted, turns @ tangent.compliance)[np.ix_(active, active)]
@@ -133,8 +132,7 @@ def second_derivatives_at_rest(system: System) -> np.ndarray:
     tensor = third_derivatives(system, system.balance_at_rest, system.undeformed)
     compliance = system.undeformed.compliance
     second = tensor[: len(compliance)]
-    for first in range(PER_INTERFACE // 2, len(compliance), PER_INTERFACE):
-        moments = slice(first, first + PER_INTERFACE // 2)
+    for moments in rotations_in(len(compliance)):
         acting = np.isin(np.arange(moments.start, moments.stop), system.coupling.active)
         # d2 mu / dw_k dM_l, shape (3, k, 3).
         bend = -0.5 * skew(compliance[moments].T).transpose(1, 0, 2) * acting

@@ -126,7 +126,7 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     one of several interfaces. Raises SolveFailed of kind ``mechanism`` or ``ill_conditioned`` if
     the equations are singular.
     """
-    active, count = system.coupling.active, system.coupling.freedoms
+    active, count = system.coupling.active, system.coupling.n_freedoms
     interface_mass = np.zeros((count, count))
     if count == PER_INTERFACE:
         interface_mass[np.ix_(active, active)] = riding.matrix[np.ix_(active, active)]
@@ -137,7 +137,7 @@ def first_vibration(system: System, mass: csr_array, riding: Riding) -> Vibratio
     mass_of_part = float(is_moved @ (mass @ is_moved))
     start = np.random.default_rng(_SEED).standard_normal(inertia.size)
     if mass.nnz and inertia.times(start).any():
-        x = lowest_modes(inertia, inertia.solved, start, 1)[1][:, 0]
+        x = lowest_modes(inertia, inertia.solve, start, 1)[1][:, 0]
     else:
         x = _lowest_mode_of_massless(inertia)
 
@@ -165,8 +165,8 @@ def lowest_modes(
 
     Raises SolveFailed of kind ``ill_conditioned`` if Lanczos' method does not converge.
     """
-    mass = Applied(inertia.size, inertia.times)
-    apply = Applied(inertia.size, inverse)
+    mass = SymmetricOperator(inertia.size, inertia.times)
+    apply = SymmetricOperator(inertia.size, inverse)
     try:
         # In shift-invert mode ARPACK applies only K^-1 and M; the first argument gives the size.
         squares, modes = eigsh(mass, k=count, M=mass, sigma=0.0, which="LM", OPinv=apply, v0=start)
@@ -235,7 +235,7 @@ def _motions_by_unit_loads(inertia: Inertia) -> tuple[np.ndarray, np.ndarray]:
     """
     count = inertia.active.size
     loads = np.eye(count, inertia.size, k=inertia.first)
-    moved = inertia.solved(loads).T
+    moved = inertia.solve(loads).T
     return moved, moved[inertia.first : inertia.first + count]
 
 
@@ -255,12 +255,12 @@ class Inertia:
         self.active = system.coupling.active
         self._free = np.flatnonzero(system.body.free)
         self._movable = system.body.movable
-        self._nodes = system.body.size
-        self._motions = system.coupling.motions
-        self._constraint = self._start.border.constraint[:, :, : self._motions]
-        self._multipliers = system.coupling.border - self._motions
+        self._n_nodes = system.body.size
+        self._n_motions = system.coupling.n_motions
+        self._constraint = self._start.border.constraint[:, :, : self._n_motions]
+        self._n_multipliers = system.coupling.n_border - self._n_motions
         self.first = 3 * self._free.size
-        self.size = self.first + self._motions
+        self.size = self.first + self._n_motions
 
     def fields(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the motion of all nodes (n, 3), m, and of the interfaces (6 i,), m and rad."""
@@ -275,7 +275,7 @@ class Inertia:
 
     def border(self, x: np.ndarray) -> np.ndarray:
         """Return the motion of the whole border, shape (border, 1), with zero multipliers."""
-        return np.append(x[self.first :], np.zeros(self._multipliers))[:, None]
+        return np.append(x[self.first :], np.zeros(self._n_multipliers))[:, None]
 
     def times(self, x: np.ndarray) -> np.ndarray:
         """Return M x, shape (size,): kg times the units of `x`."""
@@ -285,18 +285,18 @@ class Inertia:
         border[: self.active.size] += (self.interface_mass @ interface)[self.active]
         return np.concatenate([self._movable.released(forces)[self._free].ravel(), border])
 
-    def solved(self, loads: np.ndarray) -> np.ndarray:
+    def solve(self, loads: np.ndarray) -> np.ndarray:
         """Return K^-1 times loads, shape (size,) or (k, size): N and N·m to m and rad."""
         columns = np.asarray(loads).reshape(-1, self.size).T
-        nodal = np.zeros((self._nodes, 3, columns.shape[1]))
+        nodal = np.zeros((self._n_nodes, 3, columns.shape[1]))
         nodal[self._free] = columns[: self.first].reshape(-1, 3, columns.shape[1])
-        border = np.pad(columns[self.first :], ((0, self._multipliers), (0, 0)))
+        border = np.pad(columns[self.first :], ((0, self._n_multipliers), (0, 0)))
         nodes, moved = self._start.solve(nodal, border)
         inner = nodes[self._free].reshape(self.first, -1)
-        return np.concatenate([inner, moved[: self._motions]]).T.reshape(np.shape(loads))
+        return np.concatenate([inner, moved[: self._n_motions]]).T.reshape(np.shape(loads))
 
 
-class Applied(LinearOperator):
+class SymmetricOperator(LinearOperator):
     """A symmetric linear map as the operator that SciPy's `eigsh` takes."""
 
     def __init__(self, size: int, apply: Callable[[np.ndarray], np.ndarray]) -> None:
@@ -324,14 +324,14 @@ def consistent_mass(mesh: Mesh, density: Sequence[np.ndarray]) -> csr_array:
         weights = volumes * element.weights * densities[:, None]
         products = element.values[:, :, None] * element.values[:, None, :]
         of_cells = weights @ products.reshape(len(products), -1)
-        total = total + assembled(block.nodes, of_cells, count)
+        total = total + assemble(block.nodes, of_cells, count)
     if mesh.dependents is not None:
         of_free = mesh.dependents.map
         total = of_free.T @ total @ of_free
     return csr_array(total)
 
 
-def assembled(nodes: np.ndarray, matrices: np.ndarray, size: int) -> csr_array:
+def assemble(nodes: np.ndarray, matrices: np.ndarray, size: int) -> csr_array:
     """Return the sum of the matrices of cells, shape (size, size), in their unit.
 
     nodes: shape (cells, s). matrices: shape (cells, s, s), or any other with its entries.

@@ -95,7 +95,7 @@ class _Joining:
                 continue
             at = line + text.count("\n", end, match.start())
             try:
-                found, content = self.included_file(inner, stack, beside)
+                included, content = self.included_file(inner, stack, beside)
             except (OSError, RuntimeError, ValueError) as error:
                 why = str(error)
                 if isinstance(error, OSError):
@@ -105,7 +105,7 @@ class _Joining:
                 raise MeshFileError(f'{where}{word} names "{inner[:100]}", {why}') from None
             rows = "" if match[1].upper() == "INCLUDE" else _INPUT.sub("", match[0]) + "\n"
             self.add_part(text[end : match.start()] + rows, name, line)
-            self.add_file(found, content, (*stack, found))
+            self.add_file(included, content, (*stack, included))
             line = at + match[0].count("\n")
             end = match.end()
         self.add_part(text[end:], name, line)

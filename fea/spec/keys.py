@@ -1,6 +1,6 @@
 """Keys of ``component.toml`` as fields of pydantic models: types, units, texts and messages.
 
-A table of the file is a class under `table`, whose fields are made by `key`. `validated` returns an
+A table of the file is a class under `table`, whose fields are made by `key`. `validate` returns an
 instance, or adds a problem for every mistake.
 """
 
@@ -148,7 +148,9 @@ def _in_folder(value: object, handler: Any, info: ValidationInfo) -> Path:
             f'"{name}" is an absolute path; write it relative to component.toml: "{relative}"'
         )
     if not is_there:
-        known = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
+        entries = folder.iterdir() if folder.is_dir() else ()
+        # pydantic cannot pass on a message with surrogates, of a name that is no UTF-8.
+        known = sorted(entry.name.encode(errors="backslashreplace").decode() for entry in entries)
         files = f"only {', '.join(known)}" if known else "which has no files"
         remedy = suggest(name, known) or "; correct the name, or add the file"
         raise ValueError(f'there is no file "{name}" in the bundle, {files}{remedy}')
@@ -286,7 +288,7 @@ def mesh_axes() -> np.ndarray:
     return np.eye(3)
 
 
-def validated(
+def validate(
     kind: Any, value: object, where: str, problems: list[BundleProblem], folder: Path | None = None
 ) -> Any:
     """Return `value`, of the key `where`, as a `kind`; None if it cannot be used.

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 
 # Control characters, line ends, and marks that change the writing direction: a terminal obeys the
-# first, and a page with the last shows another word than the text contains.
-STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+# first, and a page with the last shows another word than the text contains. Surrogates, which stand
+# for bytes of a file name that are no UTF-8, cannot be written at all.
+STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 @dataclass(frozen=True)

@@ -164,7 +164,7 @@ class ComponentSolver:
         from wrenchbook.fea.bundle.read import FILE_NAME, read_bundle
         from wrenchbook.fea.check.cost import estimate
         from wrenchbook.fea.component import build
-        from wrenchbook.fea.export.failure_record import keep
+        from wrenchbook.fea.export.failure_record import write_failure
         from wrenchbook.fea.failure import SolveFailed
         from wrenchbook.fea.solve import Solver
 
@@ -185,7 +185,7 @@ class ComponentSolver:
             self._key = key
             return self.ready
         except SolveFailed as failure:
-            keep(attempt.folder, failure, component)
+            write_failure(attempt.folder, failure, component)
             raise
 
     def _limit(self, estimated: int | None) -> None:

@@ -17,7 +17,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from wrenchbook.fea.failure import ending
+from wrenchbook.fea.failure import exit_text
 from wrenchbook.service.files import lock as flock
 from wrenchbook.service.files.program import child_command, usable_cores
 from wrenchbook.service.jobs import attempt as attempts
@@ -319,7 +319,7 @@ class LocalEngine(attempts.Listeners):
             code = solver.process.returncode
             if code < 0 and not (attempt.folder / OUTCOME).exists():
                 with contextlib.suppress(OSError), (attempt.folder / LOG).open("a") as log:
-                    log.write(f"the solver {ending(code)}\n")
+                    log.write(f"the solver {exit_text(code)}\n")
             self._report(attempt.task)
 
     def _free(self, solver: SolverProcess, *, stays: bool) -> None:

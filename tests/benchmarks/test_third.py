@@ -36,7 +36,8 @@ def errors_of(solver, scale, *how):
     """Return the errors and asymmetries at random inputs."""
     random, results = np.random.default_rng(23), []
     for share in SHARES:
-        inputs = solver.component.at_rest + share * scale * random.uniform(-1, 1, len(scale))
+        change = share * scale * random.uniform(-1, 1, len(scale))
+        inputs = solver.component.reference_inputs + change
         direction = scale * random.uniform(-1, 1, len(scale))
         results.append((error(solver, inputs, direction, scale, *how), asymmetry(solver, inputs)))
     return np.array(results)
@@ -50,7 +51,7 @@ def cost_of(solver, inputs):
         solution = solver.solve(inputs)
         whole = time.process_time() - started
         system = solver._system
-        balance = system.balance(solution.state, inputs - solver.component.at_rest)
+        balance = system.balance(solution.state, inputs - solver.component.reference_inputs)
         tangent = system.linearise(balance)
         _ = tangent.nodal_response, tangent.border_response
         started = time.process_time()
@@ -65,7 +66,7 @@ def test_shipped_components(name):
     solver = Solver(shipped(name))
     scale = range_of(solver)
     result = errors_of(solver, scale, *SHIPPED[name])
-    inputs = solver.component.at_rest + np.where(scale == 1.0, 0.0, 0.5 * scale)
+    inputs = solver.component.reference_inputs + np.where(scale == 1.0, 0.0, 0.5 * scale)
     own, rest = cost_of(solver, inputs)
     print(
         f"\n{name:12} error {result[:, 0].max():.1e}  "

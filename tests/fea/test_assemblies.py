@@ -208,7 +208,7 @@ def test_a_spring_between_groups_has_its_derivatives_at_finite_rotations(couplin
     slope, bend = gaps_to_differences(solver, 2 * WRENCH, 0.02 * CHANGE)
     assert slope < 1e-7
     assert bend < 1e-6
-    motion = result.state.multipliers[-6:]
+    motion = result.state.frames[-6:]
     assert (
         np.abs(spring_motion.relative_motion(np.tile(motion, 2))[0]).max() < 1e-15
     )  # a rigid motion of both

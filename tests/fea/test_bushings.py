@@ -90,7 +90,7 @@ def test_a_bar_between_means_stretches_as_theory_has_it(tmp_path):
 def test_a_bar_on_a_bushing_is_the_clamped_bar_moved_by_the_spring_at_any_rotation(tmp_path):
     soft = Solver(on_bushings(tmp_path, bushing(FULL), nonlinear=True))
     result = soft.solve(WRENCH * 2)
-    motion = result.state.multipliers[-6:]
+    motion = result.state.frames
     assert np.degrees(np.linalg.norm(motion[3:])) > 0.5
     turned, point = rotation(motion[3:]), soft.component.bushings[0][0].point
     force, moment = np.split(WRENCH * 2, 2)
@@ -127,7 +127,7 @@ def test_the_tangent_is_the_derivative_of_what_is_out_of_balance(
 
     def change(size):
         nodes = system.body.movable.released(RNG.standard_normal((system.body.size, 3)))
-        return size * nodes, size * RNG.standard_normal(tie.border)
+        return size * nodes, size * RNG.standard_normal(tie.n_border)
 
     state, (nodes, border) = tie.moved(tie.start(), *change(0.03)), change(1.0)
     step = 1e-6

@@ -53,7 +53,6 @@ def test_a_component_has_its_groups_its_section_and_its_frame():
     assert (built.mesh.points[built.fixed_nodes][:, 0] == 0.0).all()
     assert len(built.fixed_nodes) == len(built.interfaces[0].section.node_ids) == 21
     assert built.interfaces[0].section.area == pytest.approx(1e-4, rel=1e-12)
-    assert built.interfaces[0].section.by_area
     np.testing.assert_allclose(built.interfaces[0].point, [0.02, 0.005, 0.005], atol=1e-15)
     np.testing.assert_array_equal(built.axes, np.eye(3))
     assert (built.interfaces[0].coupling, built.interfaces[0].locked) == ("distributed", ())
@@ -105,7 +104,7 @@ def test_a_node_group_without_a_whole_face_weighs_every_node_the_same(tmp_path):
         .interfaces[0]
         .section
     )
-    assert not section.by_area
+    assert section.area is None
     np.testing.assert_allclose(section.weights, 1 / 3)
     np.testing.assert_allclose(section.centre, [0.02, 0.01 / 3, 0.01 / 3])
 

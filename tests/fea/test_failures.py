@@ -13,7 +13,7 @@ import pytest
 
 from tests.fea.boxes import box
 from tests.fea.components import component
-from wrenchbook.fea.export.failure_record import HISTORY, LAST_STATE, keep, write_state
+from wrenchbook.fea.export.failure_record import HISTORY, LAST_STATE, write_failure, write_state
 from wrenchbook.fea.failure import REMEDIES, SolveFailed
 from wrenchbook.fea.mesh.mesh import CellBlock, FacetBlock, FacetGroup, Mesh
 from wrenchbook.fea.solve import Solver, solve
@@ -242,7 +242,7 @@ def test_a_folder_that_is_not_there_does_not_hide_the_failure(tmp_path, capsys):
 def test_numbers_of_the_history_that_are_not_finite_are_null(tmp_path):
     failure = SolveFailed("not_converged", "It stopped.")
     failure.history = ((1.0, 1, float("nan")), (1.0, 2, float("inf")))
-    keep(tmp_path, failure, component(box("tet10", (1, 1, 1))))
+    write_failure(tmp_path, failure, component(box("tet10", (1, 1, 1))))
     norms = [step["residual_norm"] for step in read(tmp_path)[0]["iterations"]]
     assert norms == [None, None]
 
@@ -262,7 +262,9 @@ def test_a_state_that_cannot_be_written_is_named_and_does_not_hide_the_failure(
 
 def test_a_history_that_cannot_be_written_does_not_keep_back_the_state(tmp_path, capsys):
     (tmp_path / HISTORY).mkdir()
-    keep(tmp_path, SolveFailed("not_converged", "It stopped."), component(box("tet10", (1, 1, 1))))
+    write_failure(
+        tmp_path, SolveFailed("not_converged", "It stopped."), component(box("tet10", (1, 1, 1)))
+    )
     assert (tmp_path / LAST_STATE).is_file()
     assert f'{HISTORY}" was not kept' in capsys.readouterr().err
 

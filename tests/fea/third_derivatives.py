@@ -13,14 +13,14 @@ from wrenchbook.fea.solver.third_derivatives import load_rates, third_derivative
 def state_of(solver, inputs, start=None):
     """Return the state under inputs, shape (k,): a `Balance`, and the tangent proper there."""
     result = solver.solve(inputs, start=start)
-    above = inputs - solver.component.at_rest
+    above = inputs - solver.component.reference_inputs
     balance = solver._system.balance(result.state, _acting(solver, above))
     return balance, solver._system.linearise(balance)
 
 
 def _acting(solver, inputs):
     """Return inputs, or changes of them, without the loads of locked freedoms."""
-    first = solver._system.coupling.freedoms
+    first = solver._system.coupling.n_freedoms
     locked = np.setdiff1d(np.arange(first), solver.component.active)
     acting = inputs.copy()
     acting[locked] = 0.0
@@ -40,7 +40,7 @@ def rates_of(solver, balance, tangent):
 def strain_part(solver, balance, tangent):
     """Return the part of the tensor that strains make, (a, a, a), and the a active inputs."""
     coupling, inputs = solver._system.coupling, balance.wrench
-    active = np.append(coupling.active, np.arange(coupling.freedoms, len(inputs)))
+    active = np.append(coupling.active, np.arange(coupling.n_freedoms, len(inputs)))
     rates = rates_of(solver, balance, tangent)[np.ix_(active, active)]
     fields = tangent.nodal_response[:, :, active] @ np.linalg.inv(rates)
     body = solver._system.body.at(solver._system.temperature(inputs))

@@ -67,14 +67,14 @@ def main() -> None:
     os.dup2(2, 1)  # the geometry kernel prints to standard output
     arrays: dict[str, Any] = {}
     try:
-        with opened(path) as gmsh:
+        with open_geometry(path) as gmsh:
             if geometry is None:
                 shapes = {"faces": faces_of(gmsh), "bodies": bodies_of(gmsh)}
                 fields = {
                     key: [asdict(entity) for entity in entities] for key, entities in shapes.items()
                 }
             else:
-                fields, arrays = _meshed(gmsh, geometry, optimise)
+                fields, arrays = _mesh(gmsh, geometry, optimise)
     except BundleError as error:
         fields = {"problems": [asdict(problem) for problem in error.problems]}
     head = np.frombuffer(json.dumps(fields).encode(), dtype=np.uint8)
@@ -82,7 +82,7 @@ def main() -> None:
         np.savez(output, head=head, **arrays)
 
 
-def _meshed(
+def _mesh(
     gmsh: Any, geometry: GeometryMeshing, optimise: bool
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Mesh the geometry; each body's cells, then each face's facets, are one block."""
@@ -108,11 +108,11 @@ def _meshed(
     tags, points, _ = gmsh.model.mesh.getNodes()
     row = np.full(int(tags.max()) + 1, -1, dtype=np.int64)
     row[tags.astype(np.int64)] = np.arange(len(tags))
-    bodies = [number for _, number in gmsh.model.getEntities(3)]
-    blocks = [_cells(gmsh, _TET10, n, row)[:, _TO_VTK] for n in bodies]
+    numbers = [body.number for body in bodies]
+    blocks = [_cells(gmsh, _TET10, n, row)[:, _TO_VTK] for n in numbers]
     blocks += [_cells(gmsh, _TRI6, face.number, row) for face in faces]
     sets = {
-        name: np.flatnonzero(np.isin(bodies, chosen)).tolist() for name, chosen in regions.items()
+        name: np.flatnonzero(np.isin(numbers, chosen)).tolist() for name, chosen in regions.items()
     }
     content = {str(i): nodes for i, nodes in enumerate(blocks)}
     fields = {"sets": sets, "faces": [asdict(face) for face in faces]}
@@ -125,7 +125,7 @@ def _cells(gmsh: Any, kind: int, entity: int, row: np.ndarray) -> np.ndarray:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
+def open_geometry(path: Path) -> Iterator[Any]:
     """Open a geometry file, bodies that touch glued to each other; yields the module gmsh.
 
     Raises BundleError if gmsh is not installed, the file cannot be read or has no solid body, or

@@ -54,7 +54,7 @@ SOLID_FACES = {"hex": _HEX_FACES, "tet": _TET_FACES, "wedge": _WEDGE_FACES}
 SOLID_FACES["pyramid"] = ("1234", "152", "253", "354", "451")
 
 _SHELL_FACES = "SPOS|SNEG|E[1-4]|EDGE|END[12]"
-_MADE = {"COMBINE", "CROP"}  # options of *SURFACE that make a surface of others
+_DERIVING = {"COMBINE", "CROP"}  # options of *SURFACE that make a surface of others
 
 _REFUSED = {
     **dict.fromkeys(("NGEN", "NFILL", "NCOPY"), "*NODE"),
@@ -85,9 +85,8 @@ class Deck:
     # For each *NODE, the number of nodes before it and its line; for each *ELEMENT, its line
     node_lines: list[tuple[int, str]] = field(default_factory=list)
     element_lines: list[str] = field(default_factory=list)
-    systems: dict[int, tuple[np.ndarray, np.ndarray]] = field(
-        default_factory=dict
-    )  # axes in rows, origin
+    # By the number of a frame, the axes of its nodes in rows, and their origin
+    systems: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     # Weights of couplings, by node set and label; repeated ones add up
     weights: dict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
     n_members: int = 0  # of all sets together
@@ -134,7 +133,7 @@ def cartesian(kind: str, point: np.ndarray) -> np.ndarray:
     return point
 
 
-def parsed(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
+def parse_mesh(path: Path, take: Callable[[Deck, Keyword], None]) -> Deck:
     """Return the mesh of a deck; `take` is called with each keyword after the mesh has read it.
 
     Raises MeshFileError if a line cannot be understood, or unsupported keywords define nodes or
@@ -279,7 +278,7 @@ def _take_set(deck: Deck, keyword: Keyword) -> None:
     name = keyword.option(keyword.word)
     entries = _members(deck, sets, keyword)
     if keyword.word == "NSET" and "ELSET" in keyword.options:
-        for element in named(deck, deck.element_sets, keyword.option("ELSET"), keyword.frame):
+        for element in labels_of(deck, deck.element_sets, keyword.option("ELSET"), keyword.frame):
             if element not in deck.where:
                 raise MeshFileError(
                     f"needs the nodes of element {element % STRIDE}, which no *ELEMENT of solids, "
@@ -306,17 +305,17 @@ def _members(deck: Deck, sets: dict[str, list[int]], keyword: Keyword) -> list[i
     for row in keyword.rows:
         fields = [text for text in row if text]
         if "GENERATE" in keyword.options:
-            generated = _generated(fields, frame)
+            generated = _range_of(fields, frame)
             _require_at_most(len(members) + len(generated))
             members += generated
         else:
             for name in fields:
-                members += named(deck, sets, name, frame)
+                members += labels_of(deck, sets, name, frame)
                 _require_at_most(len(members))
     return members
 
 
-def _generated(fields: list[str], frame: Frame) -> range:
+def _range_of(fields: list[str], frame: Frame) -> range:
     """Return the labels from first to last of a row of GENERATE; the step is 1 if missing."""
     ends = [frame.label(text) for text in fields[:2]]
     step = whole(fields[2]) if len(fields) > 2 else 1
@@ -334,7 +333,7 @@ def _require_at_most(n_members: int) -> None:
         raise MeshFileError(f"has {n_members} members; name at most {_MAX_MEMBERS}")
 
 
-def named(deck: Deck, sets: dict[str, list[int]], name: str, frame: Frame) -> list[int]:
+def labels_of(deck: Deck, sets: dict[str, list[int]], name: str, frame: Frame) -> list[int]:
     """Return the members of a field: a number or a set, also as INSTANCE.NAME."""
     instance, _, last = name.rpartition(".")
     frame = deck.frames.get(instance.upper(), frame)
@@ -370,15 +369,15 @@ def _take_surface(deck: Deck, keyword: Keyword) -> None:
     surface = keyword.option("NAME")
     kind = keyword.options.get("TYPE", "ELEMENT").upper()
     cause = "" if kind in ("NODE", "ELEMENT") else f"has TYPE={kind}"
-    if made := _MADE & keyword.options.keys():
-        cause = f"is made of other surfaces ({min(made)})"
+    if deriving := _DERIVING & keyword.options.keys():
+        cause = f"is made of other surfaces ({min(deriving)})"
     faces: list[tuple[int, str]] = []
     for name, *fields in () if cause else keyword.rows:
         if kind == "NODE":
             add_weighted(deck, keyword.frame, surface, name, *fields[:1])
             continue
         face = "".join(fields[:1]).upper()
-        labels = named(deck, deck.element_sets, name, keyword.frame)
+        labels = labels_of(deck, deck.element_sets, name, keyword.frame)
         if not re.fullmatch(f"|S[1-6]|{_SHELL_FACES}", face):
             raise MeshFileError(f'has "{face}" as face of {name}; write S1 to S6 of a solid')
         is_of_shells = re.fullmatch(_SHELL_FACES, face)
@@ -442,7 +441,7 @@ def add_weighted(deck: Deck, frame: Frame, name: str, target: str, weight: str =
     In a set with weights, a node without one has 0, the default of Abaqus in a coupling (Keywords
     Reference Manual 6.6, *SURFACE).
     """
-    labels = named(deck, deck.node_sets, target, frame)
+    labels = labels_of(deck, deck.node_sets, target, frame)
     add(deck, deck.node_sets, frame, name, list(labels))
     if weight and labels:
         weights = dict.fromkeys(labels, real(weight))

@@ -22,14 +22,15 @@ from wrenchbook.fea.mesh.io.abaqus import (
     add_weighted,
     axes_through,
     kind_of,
+    labels_of,
     may_be_solid,
-    named,
-    parsed,
+    parse_mesh,
     radial_axes,
     raw_mesh,
     set_key,
     set_names,
 )
+from wrenchbook.fea.mesh.io.abaqus_cases import WITH_FORCES
 from wrenchbook.fea.mesh.io.abaqus_keywords import (
     STRIDE,
     UNREADABLE,
@@ -155,11 +156,11 @@ def _take(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 def read_deck(path: Path) -> tuple[RawMesh, DeckContent]:
     """Read the mesh of a deck and its other contents.
 
-    Raises MeshFileError as `fea.mesh.io.abaqus.parsed`, if a keyword has its rows in another file,
-    or if there are no elements.
+    Raises MeshFileError as `fea.mesh.io.abaqus.parse_mesh`, if a keyword has its rows in another
+    file, or if there are no elements.
     """
     reader = Reader()
-    deck = parsed(path, lambda deck, keyword: _take(reader, deck, keyword))
+    deck = parse_mesh(path, lambda deck, keyword: _take(reader, deck, keyword))
     content = reader.content
     if "ELEMENT" not in content.taken:
         if deck.nodes:
@@ -220,7 +221,7 @@ def _take_loads(reader: Reader, deck: Deck, step: Step, case: LoadCase) -> None:
     """Add a step's forces to its couplings, or to the groups with forces."""
     single = {label for (label, _), (key, _) in step.forces.items() if not key}
     single -= reader.points.keys()
-    single_key = set_of(reader, deck, sorted(single), "nodes_with_forces") if single else ""
+    single_key = set_of(reader, deck, sorted(single), WITH_FORCES) if single else ""
     for (label, freedom), (key, value) in step.forces.items():
         number, first = reader.points.get(label, (None, 0))
         if number is None:
@@ -371,7 +372,7 @@ def _take_transform(reader: Reader, deck: Deck, keyword: Keyword) -> None:
         raise MeshFileError(f"has TYPE={kind}; write R (rectangular) or C (cylindrical)")
     frame, (first, second) = keyword.frame, numbers(keyword, 0, 6).reshape(2, 3)
     rotation = np.reshape(frame.rotation or np.eye(3), (3, 3))
-    labels = named(deck, deck.node_sets, keyword.option("NSET"), frame)
+    labels = labels_of(deck, deck.node_sets, keyword.option("NSET"), frame)
     if kind == "R":
         axes = [axes_through(np.zeros(3), first, second) @ rotation.T] * len(labels)
     else:
@@ -435,7 +436,7 @@ def _check_rotations(reader: Reader, keyword: Keyword, labels: list[int], freedo
 
 def _target(deck: Deck, name: str, frame: Frame) -> tuple[str, list[int]]:
     """Return the key of a node set, empty for a single node, and the nodes."""
-    labels = named(deck, deck.node_sets, name, frame)
+    labels = labels_of(deck, deck.node_sets, name, frame)
     single = name.rpartition(".")[2].isdigit()
     if single and labels[0] not in deck.nodes:
         raise MeshFileError(f"names node {name}, which is not defined above; add its *NODE there")
@@ -498,7 +499,7 @@ def _take_rigid(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 def _node(deck: Deck, keyword: Keyword, option: str) -> int | None:
     if option not in keyword.options:
         return None
-    return named(deck, deck.node_sets, keyword.options[option], keyword.frame)[0]
+    return labels_of(deck, deck.node_sets, keyword.options[option], keyword.frame)[0]
 
 
 def _take_tie(reader: Reader, deck: Deck, keyword: Keyword) -> None:

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from wrenchbook.fea import tensors
 from wrenchbook.fea.spec.deck_text import DeckText
 from wrenchbook.fea.spec.problems import MeshFileError, point_text
-from wrenchbook.fea.tensors import rotation as turned
 
 STRIDE = 10**12
 """Number of labels of one instance; Abaqus has at most 9 digits, a larger label is refused."""
@@ -192,7 +192,7 @@ def _frame(keyword: Keyword, number: int) -> Frame:
                 raise MeshFileError(
                     f"turns about an axis through {point_text(a)} twice; write two different points"
                 )
-            rotation = turned(np.radians(angle) * (b - a) / np.linalg.norm(b - a))
+            rotation = tensors.rotation(np.radians(angle) * (b - a) / np.linalg.norm(b - a))
             shift = rotation @ (shift - a) + a
     except MeshFileError as error:
         raise keyword.wrong(error) from None

@@ -8,6 +8,7 @@ from collections import Counter, defaultdict
 from wrenchbook.fea.mesh.deck_content import CoupledGroup, HeldGroup
 from wrenchbook.fea.mesh.facets import FACES
 from wrenchbook.fea.mesh.io.abaqus import SOLID_FACES, Deck
+from wrenchbook.fea.mesh.io.abaqus_cases import HELD_IN
 from wrenchbook.fea.mesh.io.abaqus_keywords import STRIDE
 from wrenchbook.fea.mesh.io.reader import Coupling, Motions, Reader
 from wrenchbook.fea.spec.problems import MeshFileError
@@ -41,7 +42,7 @@ def supports_of(
         axes = GLOBAL if directions == "xyz" else reader.turned.get(label, GLOBAL)
         nodes[directions, axes].append(label)
     for (directions, axes), labels in nodes.items():
-        key = set_of(reader, deck, labels, f"nodes_held_in_{directions}")
+        key = set_of(reader, deck, labels, f"{HELD_IN}{directions}")
         groups.append(HeldGroup(by_node[labels[0]][0], key, directions, axes))
     return [group for group in groups if group.directions], freedoms_of_couplings
 

@@ -202,7 +202,7 @@ def _take_types(archive: _Archive, _: list[str], rows: Iterator[str]) -> None:
     """
     widths = re.findall(r"i(\d+),\d+a(\d+)", next(rows).lower())[0]
     for row in rows:
-        number, *fields = _fixed(row, int(widths[0]))
+        number, *fields = _split_fields(row, int(widths[0]))
         if number == "-1":
             return
         archive.types[number] = _Type(fields[0], _options(fields[1:]))
@@ -223,18 +223,18 @@ def _take_elements(archive: _Archive, fields: list[str], rows: Iterator[str]) ->
         raise MeshFileError(f'has "{form}", not 19,SOLID; write the archive by CDWRITE,DB')
     width = int(re.findall(r"[iI](\d+)", next(rows))[0])
     for row in rows:
-        numbers = _fixed(row, width)
+        numbers = _split_fields(row, width)
         if numbers[0] == "-1":
             return
         nodes = numbers[_FIRST_NODE:]
         while len(nodes) < int(numbers[_NODE_COUNT]):
-            nodes += _fixed(next(rows), width)
+            nodes += _split_fields(next(rows), width)
         kind = archive.type_of(numbers[_TYPE])
         region = f"MAT_{numbers[_MATERIAL]}"
         _take_cell(archive, kind, region, numbers[_ELEMENT], nodes)
 
 
-def _fixed(row: str, width: int) -> list[str]:
+def _split_fields(row: str, width: int) -> list[str]:
     """Split a row into fields of a fixed width."""
     return [row[i : i + width].strip() for i in range(0, len(row.rstrip()), width)]
 
@@ -287,7 +287,7 @@ def _take_component(archive: _Archive, fields: list[str], rows: Iterator[str]) -
     width = int(re.findall(r"[iI](\d+)", next(rows))[0])
     numbers: list[int] = []
     while len(numbers) < int(count):
-        numbers += map(int, _fixed(next(rows), width))
+        numbers += map(int, _split_fields(next(rows), width))
     if not entity.startswith("NODE"):
         archive.skipped[f"component {name} of elements"] += 1
         return

@@ -6,7 +6,7 @@ import math
 from collections import defaultdict
 
 from wrenchbook.fea.mesh.element_order import SECOND
-from wrenchbook.fea.mesh.io.abaqus import Deck, named
+from wrenchbook.fea.mesh.io.abaqus import Deck, labels_of
 from wrenchbook.fea.mesh.io.abaqus_keywords import Keyword, real, whole
 from wrenchbook.fea.mesh.io.reader import Reader
 from wrenchbook.fea.spec.problems import MeshFileError
@@ -37,7 +37,7 @@ def take_equations(reader: Reader, deck: Deck, keyword: Keyword) -> None:
                 f"has an equation of {count} terms with {len(terms)} fields; write node, freedom "
                 "and factor of each term"
             )
-        nodes = [named(deck, deck.node_sets, name, keyword.frame) for name in terms[::3]]
+        nodes = [labels_of(deck, deck.node_sets, name, keyword.frame) for name in terms[::3]]
         if sizes := [len(each) for each in nodes if len(each) != 1]:
             raise MeshFileError(f"equates a set of {sizes[0]} nodes; write one node in each term")
         labels = [label for each in nodes for label in each]
@@ -48,7 +48,7 @@ def take_equations(reader: Reader, deck: Deck, keyword: Keyword) -> None:
 def take_constraints(reader: Reader, deck: Deck, keyword: Keyword) -> None:
     """Read pairs of nodes that move alike."""
     for kind, *names in keyword.rows:
-        labels = [named(deck, deck.node_sets, name, keyword.frame) for name in names]
+        labels = [labels_of(deck, deck.node_sets, name, keyword.frame) for name in names]
         alike = kind.upper() in ("TIE", "PIN") and [len(each) for each in labels] == [1, 1]
         # Freedom 0 does not exist: the reader notes the mistake.
         for axis in "123" if alike else "0":

@@ -183,7 +183,7 @@ def _selections(data: Bulk, control: str) -> dict[str, dict[str, str]]:
 
 
 def _check_system(data: Bulk, _: str, fields: list[str]) -> None:
-    """Refuse a coordinate system whose number an earlier card has."""
+    """Refuse a coordinate system whose number an earlier card has: `Bulk.index` stored that."""
     if data.cards[fields[0]][1] is not fields:
         raise MeshFileError(f"{fields[0]} {_AGAIN}")
 
@@ -272,10 +272,10 @@ def _read_psolid(data: Bulk, name: str, fields: list[str]) -> None:
     # The system -1 has the axes of each element.
     system = None if fields[2] == "-1" else data.system(fields[2])
     if system is not None and system.kind == "R":
-        data.sections[region] += data.oriented(region, system.axes)
+        data.sections[region] += data.add_orientation(region, system.axes)
     elif system is not None and system.kind == "C":
         axis = np.array([system.origin, system.origin + system.axes[2]])
-        data.sections[region] += data.oriented(region, axis, system.kind)
+        data.sections[region] += data.add_orientation(region, axis, system.kind)
     else:
         data.skipped["CORDM of PSOLID of an element or a sphere, which counts for MAT9"] += 1
 
@@ -372,7 +372,7 @@ def _add_springs(data: Bulk) -> None:
         except MeshFileError as error:
             refused[name, str(error)].append(number)
             continue
-        option = data.oriented(f"{name}_{number}", axes)
+        option = data.add_orientation(f"{name}_{number}", axes)
         for i, size in enumerate(sizes):
             if size or not is_bush:
                 element = f"{name}_{number}_{i + 1}"

@@ -171,10 +171,10 @@ class Bulk(Translated):
         if number in BASIC:
             return _System("R", np.eye(3), np.zeros(3))
         if number not in self.systems:
-            self.systems[number] = self._evaluated(number)
+            self.systems[number] = self._evaluate(number)
         return self.systems[number]
 
-    def _evaluated(self, number: str) -> _System:
+    def _evaluate(self, number: str) -> _System:
         """Return the coordinate system of a card."""
         if number not in self.cards:
             message = f"needs coordinate system {number}, which no CORD card defines; add it"
@@ -231,7 +231,7 @@ class Bulk(Translated):
             raise MeshFileError(f"needs {kind} {key}, which no card defines")
         return [real(text) for text in self.springs[kind + key][1]]
 
-    def oriented(self, name: str, axes: np.ndarray, kind: str = "R") -> str:
+    def add_orientation(self, name: str, axes: np.ndarray, kind: str = "R") -> str:
         """Add an orientation unless it is the basic one; return the option that names it."""
         if kind == "R" and np.array_equal(axes, np.eye(3)):
             return ""

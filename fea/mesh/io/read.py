@@ -125,6 +125,7 @@ def _read_meshio(path: Path) -> RawMesh:
             node_groups[name] = np.flatnonzero(values == value)
     node_groups |= read.point_sets
     points = np.asarray(read.points, dtype=float)
+    points = points.reshape(-1, points.shape[-1] or 3)  # no points have the shape (0,)
     if points.shape[1] != 3:
         raise MeshFileError("is flat; export a mesh of solid cells in three dimensions")
     nodes = {name: _as_numbers(ids) for name, ids in node_groups.items()}

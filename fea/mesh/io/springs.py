@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from wrenchbook.fea.mesh.deck_content import CoupledGroup, DeckSpring, LoadCase
-from wrenchbook.fea.mesh.io.abaqus import Deck, add, named
+from wrenchbook.fea.mesh.io.abaqus import Deck, add, labels_of
 from wrenchbook.fea.mesh.io.abaqus_keywords import STRIDE, Keyword, real, whole
 from wrenchbook.fea.mesh.io.reader import Reader, Step
 from wrenchbook.fea.spec.problems import MeshFileError
@@ -84,7 +84,7 @@ def _labels(
     reader: Reader, deck: Deck, keyword: Keyword, remaining: Mapping[int, object]
 ) -> list[int]:
     """Return the elements of a *SPRING; raise MeshFileError unless all are among `remaining`."""
-    members = named(deck, deck.element_sets, keyword.option("ELSET"), keyword.frame)
+    members = labels_of(deck, deck.element_sets, keyword.option("ELSET"), keyword.frame)
     labels = sorted({*members})
     for label in labels:
         if label not in reader.springs or label in deck.where:

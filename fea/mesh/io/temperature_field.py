@@ -68,12 +68,12 @@ def shape_on(nodes: np.ndarray, field: Path, reference: float) -> np.ndarray:
 
     between = distance > _SAME_POINT * size
     if between.any() and not repeated.all():  # more than one point
-        inside = _interpolated(points, values, nodes[between])
+        inside = _interpolate(points, values, nodes[between])
         shape[between] = np.where(np.isnan(inside), shape[between], inside)
     return shape
 
 
-def _interpolated(points: np.ndarray, values: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+def _interpolate(points: np.ndarray, values: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """Interpolate values (p,) linearly in the space, plane or line of points (p, 3).
 
     The result has shape (n,) for nodes (n, 3); it is NaN outside the points.

@@ -12,7 +12,7 @@ from tests.fea.boxes import box
 from tests.slow import slow_but
 from wrenchbook.fea.accuracy import convergence, estimate
 from wrenchbook.fea.accuracy.advice import over_tolerance
-from wrenchbook.fea.accuracy.convergence import Study, finer, stored, studied, write
+from wrenchbook.fea.accuracy.convergence import Study, convergence_study, finer, stored, write
 from wrenchbook.fea.accuracy.estimate import accuracy_of, accuracy_or_why
 from wrenchbook.fea.accuracy.roundness import bows_of, polygons_of, roundness
 from wrenchbook.fea.bundle.read import BundleError, read_bundle
@@ -304,7 +304,7 @@ def test_bars_of_a_stubby_bonded_block_hold_its_errors_and_are_not_five_times_to
 
 def test_a_kept_study_replaces_the_estimate_in_the_bars(tmp_path):
     bundle = tube(tmp_path, 12, 0.3)
-    study = studied(bundle)
+    study = convergence_study(bundle)
     write(bundle, study)
     report = accuracy_of(Solver(bundle))
     assert "finer meshes of" in report["mesh_basis"]
@@ -313,7 +313,7 @@ def test_a_kept_study_replaces_the_estimate_in_the_bars(tmp_path):
 
 
 def test_a_study_of_another_setup_is_not_taken(tmp_path):
-    write(block(tmp_path), studied(block(tmp_path)))
+    write(block(tmp_path), convergence_study(block(tmp_path)))
     other = block(tmp_path, ratio=0.31)
     assert stored(other, (6, 6)) is None
 
@@ -328,7 +328,7 @@ def test_a_study_of_another_setup_is_not_taken(tmp_path):
 )
 def test_a_damaged_study_makes_the_bar_unknown_and_says_why(tmp_path, damage):
     bundle = block(tmp_path)
-    write(bundle, studied(bundle))
+    write(bundle, convergence_study(bundle))
     file = tmp_path / convergence.FILE
     file.write_text(json.dumps(damage(json.loads(file.read_text()))))
     report = accuracy_or_why(Solver(bundle))
@@ -336,24 +336,38 @@ def test_a_damaged_study_makes_the_bar_unknown_and_says_why(tmp_path, damage):
     assert "run wrenchbook converge again" in report["mesh_basis"]
 
 
+def test_a_study_that_cannot_be_written_leaves_the_one_before(tmp_path, monkeypatch):
+    def fill_the_disk(path, text, **_):
+        path.write_bytes(text.encode()[:10])
+        raise OSError("no space left")
+
+    bundle = block(tmp_path)
+    study = convergence_study(bundle)
+    before = write(bundle, study).read_text()
+    monkeypatch.setattr(Path, "write_text", fill_the_disk)
+    with pytest.raises(OSError, match="no space left"):
+        write(bundle, study)
+    assert (tmp_path / convergence.FILE).read_text() == before
+
+
 def test_a_mesh_file_is_compared_with_a_finer_one(tmp_path):
     bundle = tube(tmp_path, 12, 0.3, along=4)
     (tmp_path / "fine").mkdir()
     tube(tmp_path / "fine", 24, 0.3, layers=2, along=8)
-    study = studied(bundle, [tmp_path / "fine" / "tube.msh"])
+    study = convergence_study(bundle, [tmp_path / "fine" / "tube.msh"])
     assert study.sizes[0] / study.sizes[1] == pytest.approx(2.0, rel=0.02)
 
 
 def test_a_mesh_that_is_not_finer_is_refused(tmp_path):
     bundle = tube(tmp_path, 12, 0.3)
     with pytest.raises(ValueError, match=r"cells at most 0\.9 times as large"):
-        studied(bundle, [tmp_path / "tube.msh"])
+        convergence_study(bundle, [tmp_path / "tube.msh"])
 
 
 def test_mistakes_of_a_finer_mesh_are_under_its_name(tmp_path):
     bundle = tube(tmp_path, 12, 0.3)
     with pytest.raises(BundleError, match=r"^link\.inp: \S+: the mesh has no facet or node group"):
-        studied(bundle, [SHIPPED / "link" / "link.inp"])
+        convergence_study(bundle, [SHIPPED / "link" / "link.inp"])
 
 
 def test_a_finer_mesh_with_too_many_unknowns_is_not_made(tmp_path):

@@ -1,6 +1,7 @@
 """`python -m wrenchbook.fea.check FOLDER`: one line of JSON and an exit status."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -108,3 +109,14 @@ def test_a_reader_that_stops_early_ends_the_command_without_a_traceback():
         process.stdout.close()
         assert process.stderr.read() == b""
     assert process.returncode == 0
+
+
+def test_a_bundle_with_file_names_that_are_no_utf_8_is_checked(tmp_path, capsys):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/tr\xe4ger"))
+    folder.mkdir()
+    (folder / os.fsdecode(b"m\xe4.msh")).touch()
+    mesh = '[mesh]\nfile = "x.msh"\nunit = "mm"\n'
+    (folder / "component.toml").write_text(f'name = "a"\ntitle = "A"\n{mesh}', "utf-8")
+    assert main(["check", str(folder)]) == 1
+    files = "component.toml, m\\udce4.msh"
+    assert f'no file "x.msh" in the bundle, only {files}' in capsys.readouterr().out

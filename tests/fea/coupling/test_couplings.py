@@ -43,10 +43,10 @@ def test_the_bordered_tangent_is_the_derivative_of_what_is_out_of_balance(coupli
     interface[[FREEDOMS.index(name) for name in locked]] = 0.0
     multipliers = RNG.standard_normal(6) if coupling == "distributed" else np.zeros(6)
     u = 0.05 * RNG.standard_normal((system.body.size, 3)) * free[:, None]
-    still = np.zeros_like(u), np.zeros(tie.border)
+    still = np.zeros_like(u), np.zeros(tie.n_border)
     state = tie.moved(CoupledState(u, interface, multipliers), *still)
     wrench = RNG.standard_normal(6)
-    nodes, border = RNG.standard_normal(u.shape) * free[:, None], RNG.standard_normal(tie.border)
+    nodes, border = RNG.standard_normal(u.shape) * free[:, None], RNG.standard_normal(tie.n_border)
 
     step = 1e-6
     ahead, behind = (

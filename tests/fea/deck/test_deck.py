@@ -16,7 +16,7 @@ from tests.until import until
 from wrenchbook.fea import readers
 from wrenchbook.fea.bundle.read import BundleError
 from wrenchbook.fea.deck import running
-from wrenchbook.fea.deck.running import deck_report, filled
+from wrenchbook.fea.deck.running import deck_report, insert_loads
 from wrenchbook.fea.deck.solving import LINEAR_GAP
 from wrenchbook.fea.failure import SolveFailed
 from wrenchbook.fea.readers import NumbersReader, Reading
@@ -37,14 +37,14 @@ def failure(bundle, wrench=WRENCH, folder=None):
 
 @given(st.lists(NUMBER, min_size=6, max_size=6))
 def test_a_number_goes_into_the_deck_with_12_decimals_and_20_characters_at_most(loads):
-    words = filled(b"$FX,$FY,$FZ\n$MX , $MY,$MZ", loads).replace(b"\n", b",").split(b",")
+    words = insert_loads(b"$FX,$FY,$FZ\n$MX , $MY,$MZ", loads).replace(b"\n", b",").split(b",")
     assert max(len(word.strip()) for word in words) <= 20
     np.testing.assert_allclose([float(word) for word in words], loads, rtol=1e-12)
 
 
 def test_other_words_with_a_dollar_stay_and_a_placeholder_may_come_twice():
     deck = b"$FX $FXY $FX $FY $FZ $MX $MY $MZ $A $fx \xff"
-    text = filled(deck, [1, 2, 3, 4, 5, 6])
+    text = insert_loads(deck, [1, 2, 3, 4, 5, 6])
     assert text.startswith(b"1.000000000000e+00 $FXY 1.000000000000e+00 2.0")
     assert text.endswith(b"$A $fx \xff")
 
@@ -324,7 +324,7 @@ def test_another_package_can_offer_a_reader(tmp_path, monkeypatch):
 
     entry = EntryPoint("halves", f"{__name__}:Halves", readers.ENTRY_POINTS)
     monkeypatch.setattr(EntryPoint, "load", lambda self: Halves)
-    monkeypatch.setattr(readers, "_offered", lambda: [entry])
+    monkeypatch.setattr(readers, "_entry_points", lambda: [entry])
     assert readers.reader_names() == ("calculix-dat", "halves", "numbers")
     result = solve(component(tmp_path, output={"reader": "halves"}), [0] * 6, None)
     assert result.displacement[0] == 0.5

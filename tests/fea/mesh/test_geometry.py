@@ -16,7 +16,7 @@ from wrenchbook.fea.bundle.read import BundleError, bundle_of
 from wrenchbook.fea.check.reporting import report
 from wrenchbook.fea.component import build
 from wrenchbook.fea.inspection import unit_warnings
-from wrenchbook.fea.mesh.cad.child import opened
+from wrenchbook.fea.mesh.cad.child import open_geometry
 from wrenchbook.fea.mesh.cad.meshing import list_shape, mesh_geometry
 from wrenchbook.fea.mesh.mapping import area_weights
 from wrenchbook.fea.mesh.sources import mesh_of
@@ -130,7 +130,7 @@ def test_mistakes_of_the_bundle_are_told_beside_a_geometry_that_cannot_be_read(f
 
 def refusal(path):
     """The message of gmsh's own process, which this one takes the place of."""
-    with pytest.raises(BundleError) as caught, opened(path):
+    with pytest.raises(BundleError) as caught, open_geometry(path):
         pass
     return str(caught.value)
 

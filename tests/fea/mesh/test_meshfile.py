@@ -413,3 +413,9 @@ def test_a_node_given_twice_in_one_place_is_one_node(tmp_path):
 
 def test_a_part_without_instances_is_read_as_a_flat_deck(tmp_path):
     assert len(read(tmp_path, PART).points) == 8
+
+
+def test_a_mesh_file_without_points_is_refused(tmp_path):
+    (tmp_path / "part.obj").write_text("# nothing\n")
+    with pytest.raises(BundleError, match="no solid cells"):
+        read_mesh(tmp_path / "part.obj", "mm")

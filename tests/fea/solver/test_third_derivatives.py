@@ -129,7 +129,7 @@ def case(name, share):
     is_shipped = np.isfinite(whole.bundle.range.high).all()
     scale = range_of(solver) if is_shipped else np.tile(LOADS, len(whole.interfaces))
     random = np.random.default_rng(7).uniform(-1, 1, len(scale))
-    return solver, whole.at_rest + share * scale * random, scale
+    return solver, whole.reference_inputs + share * scale * random, scale
 
 
 @pytest.mark.parametrize("name", OTHERS)

@@ -133,7 +133,7 @@ def test_a_mass_of_supported_cells_alone_is_named():
 
 def test_a_compliance_that_is_not_positive_definite_is_ill_conditioned(monkeypatch):
     built = Solver(beam(divisions=(2, 2, 4), density=None))
-    monkeypatch.setattr(Inertia, "solved", lambda self, loads: -loads)
+    monkeypatch.setattr(Inertia, "solve", lambda self, loads: -loads)
     with pytest.raises(SolveFailed, match="not positive definite: its diagonal is") as caught:
         built.vibration(Riding.of(1.0))
     assert caught.value.kind == "ill_conditioned"
@@ -213,7 +213,7 @@ def frequencies(solver, held):
     system = solver._system
     inertia = Inertia(system, solver._mass, np.zeros((6, 6)))
     units = np.eye(inertia.size)
-    flexible = np.stack([inertia.solved(unit) for unit in units], axis=1)
+    flexible = np.stack([inertia.solve(unit) for unit in units], axis=1)
     mass = np.stack([inertia.times(unit) for unit in units], axis=1)
     stiffness = np.linalg.inv(0.5 * (flexible + flexible.T))
     kept = slice(inertia.first) if held else slice(None)

@@ -5,9 +5,9 @@ import json
 
 import pytest
 
+from wrenchbook.fea.bundle import fingerprint as module
 from wrenchbook.fea.bundle.read import bundle_of, read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
-from wrenchbook.fea.spec import fingerprint as module
 
 BAR = {
     "name": "b",
@@ -165,3 +165,59 @@ def test_rows_of_the_nodes_of_all_steps_are_not_taken_for_those_of_the_last(
             before.setattr(module, "CASE", "nodes of all cases")
             prints[-1].add(print_of(table, tmp_path))
     assert [len(own) for own in prints] == [1, 1 + differs]
+
+
+SELECTORS = {
+    "a": {"faces": [3, 1], "near": [0.1, 0.2, 0.3]},
+    "b": {"plane": "y", "at": 0.5, "box": [[0, 0, 0], [1, 1, 1]], "inside": "a"},
+    "c": {"radius": 0.01, "cylinder": {"point": [0, 0, 0], "axis": [0, 0, 2]}},
+    "d": {"normal": [0, 0, 1], "angle": 20, "plane": [0, 1, 0], "at": [0, 0.5, 0]},
+}
+END = {"section": "end", "coupling": "distributed", "point": [1, 0, 0]}
+LOADS = {"range": BAR["range"]}
+HEATED = [material | {"thermal_expansion": 1e-5} for material in BAR["material"]]
+ALL_PARTS = {key: value for key, value in BAR.items() if key != "range"} | {
+    "material": HEATED,
+    "interface": [
+        {"name": "tip"} | END | LOADS,
+        {"name": "side", "section": "side", "coupling": "rigid"} | LOADS,
+    ],
+    "tie": [{"secondary": "b", "main": "a"}, {"secondary": "d", "main": "c"}],
+    "bolt": [
+        {"region": "shank", "axis": [0, 0, 1], "force": 5.0},
+        {"group": "c", "axis": [1, 0, 0], "force": 1.0},
+    ],
+    "inputs": {"temperature": {"range": [0, 100], "reference": 20}},
+}
+PINNED = {
+    "bar": "a030a8884fc25d39",
+    "hot_bracket": "ae9f76850835008a",
+    "link": "6efa439a543f61f9",
+    "plate": "f69b2402276ac8c6",
+    "plate_ccx": "a2013183cd681d25",
+    "plate_thin": "51a040f499d1fa26",
+    "spring": "5376e95f02a558c8",
+    "changes": "45e9a1a2f0b5e95a6444",
+    "geometry": "163483ec345c50d8",
+    "deck": "b01f23f5c71e134d",
+    "all parts": "66c5fb9a9cc4c146",
+}
+
+
+def test_no_change_of_the_program_changes_the_fingerprint_of_an_existing_component(tmp_path):
+    (tmp_path / "part.step").write_text("ISO-10303-21;")
+    (tmp_path / "deck.inp").write_text(DECKS["a step that releases"][0] + "*EQUATION\n")
+    sources = {
+        "geometry": {"file": "part.step", "size": 0.01, "regions": {"r": {"bodies": [1]}}},
+        "deck": {"file": "deck.inp", "unit": "mm", "order": 2},
+    }
+    prints = {path.name: read_bundle(path).fingerprint for path in SHIPPED.iterdir()}
+    prints["changes"] = "".join(
+        print_of(altered(*change))[0] for change in CHANGES if change[1] != "plate"
+    )
+    for name, source in sources.items():
+        table = BAR | {"mesh": source | {"groups": SELECTORS}}
+        table["supports"] = {"fixed": ["nodes_held_in_xyz"]}
+        prints[name] = print_of(table, tmp_path)
+    prints["all parts"] = print_of(ALL_PARTS)
+    assert prints == PINNED

@@ -2,6 +2,7 @@
 
 Rows of a table carry it, so that rows of an older set-up are never mixed in. The title, the load
 range and the tolerance are left out because they change no solve; so is every version number.
+A key added to the format enters only if it is not at its default: older fingerprints stay valid.
 """
 
 from __future__ import annotations
@@ -9,13 +10,13 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from wrenchbook.fea.mesh.io.abaqus_cases import HELD_IN, WITH_FORCES, drops_nodes
 from wrenchbook.fea.spec.deck_text import deck_text
+from wrenchbook.fea.spec.keys import keys_of
 from wrenchbook.fea.spec.material import AnyMaterial, Orthotropic
 from wrenchbook.fea.spec.mesh_source import (
     CELLS_ROUND_A_CIRCLE,
@@ -27,93 +28,71 @@ from wrenchbook.fea.spec.mesh_source import (
 from wrenchbook.fea.spec.schema import (
     ACCELERATIONS,
     TEMPERATURE,
-    Analysis,
+    Bolt,
+    Bundle,
     Deck,
     Interface,
+    Joint,
     Supports,
+    Tie,
 )
 
-DIGITS = 16
+DIGITS = 16  # hexadecimal: two of a million set-ups coincide with a probability of 3e-8
 
 NONLINEAR_SOLVER = "converged in energy; tangent at the equilibrium"
-"""What the embedded solver's nonlinear answers are, in words that change when the answers do.
+"""The kind of the embedded solver's nonlinear answers: new words whenever these answers change.
 
-Before these words its tangents were those of the state before the last correction: up to a third
-off on a slender part. Linear components, decks and measured tables never had other answers, so
-their fingerprints hold no such words.
+Linear components, decks and measured tables do not depend on it.
 """
 
 CASE = "nodes of the last case"
-"""What groups of single nodes of a deck with several load cases are, in words as above.
-
-Before these words they were the nodes of all cases together.
-"""
+"""The kind of groups of single nodes of a deck whose cases have different nodes."""
 
 _FOLLOWING = re.compile(r"^[ \t]*\*[ \t]*(EQUATION|MPC)\b", re.I | re.M)
-"""Keywords by which nodes of a mesh follow others; before, they moved freely."""
-
-_RESTRICTING = ("box", "normal", "angle", "inside")
-_GROUP = re.compile(r'"nodes_(?:held_in|with_forces)')  # of `fea.mesh.io.abaqus_content`
-_KEYWORD = re.compile(rb"^[^\w*\n]*\*[ \t]*(BOUNDARY|CLOAD|STEP|LOAD CASE)\b([^*]*)", re.I | re.M)
-_NEW = re.compile(rb",\s*(?:OP\s*=\s*NEW|PERTURBATION)\b", re.I)
-# Decks whose last case does not have the nodes of all cases. Each keyword of a deck is one letter:
-# b of *BOUNDARY and *CLOAD, s of *STEP, l of *LOAD CASE; a capital where `_NEW` drops what came
-# before.
-_RELEASED_LATER = "[bB].*[sSl].*B"  # *BOUNDARY, *STEP, *BOUNDARY, OP=NEW
-_PERTURBED_LATER = "[sl].*S"  # *STEP, *STEP, PERTURBATION
-_PERTURBED_BEFORE = "S.*[sSl]"  # *STEP, PERTURBATION, *STEP
-_LOAD_CASES = "l.*l"  # *LOAD CASE, *LOAD CASE
-_DROPS_NODES = re.compile(
-    "|".join((_RELEASED_LATER, _PERTURBED_LATER, _PERTURBED_BEFORE, _LOAD_CASES))
-)
+"""Keywords by which nodes of a mesh follow others."""
 
 
-def fingerprint(parts: Mapping[str, Any]) -> str:
-    """Return 16 hexadecimal digits for the parts of a bundle.
+def fingerprint(bundle: Bundle) -> str:
+    """Return 16 hexadecimal digits for a bundle; its own `fingerprint` has no effect.
 
-    parts: the fields of `fea.spec.schema.Bundle` that can change an answer; others are not looked
-    at.
+    Raises OSError if a file of the bundle cannot be read, MeshFileError as `deck_text`.
     """
-    further = {scalar.name: scalar for scalar in parts.get("further", ())}
+    further = {scalar.name: scalar for scalar in bundle.further}
     heated = TEMPERATURE in further
-    materials = sorted((_material(each, heated) for each in parts["materials"]), key=json.dumps)
-    analysis: Analysis = parts["analysis"]
+    analysis = bundle.analysis
     content = {
-        "mesh": _mesh(parts["mesh"]),
-        "materials": materials,
-        "supports": _supports(parts["supports"]),
-        "interface": _interface(parts["interface"]),
+        "mesh": _mesh(bundle.mesh),
+        "materials": sorted((_material(each, heated) for each in bundle.materials), key=json.dumps),
+        "supports": _supports(bundle.supports),
+        "interface": _interfaces(bundle.interfaces),
         "analysis": {"nonlinear": analysis.nonlinear, "integration": analysis.integration},
-        "deck": _deck(parts["deck"]),
+        "deck": _deck(bundle.deck),
     }
 
-    if parts["others"]:
-        content["interface"] = [
-            {"name": interface.name, "is": _interface(interface)}
-            for interface in (parts["interface"], *parts["others"])
-        ]
-    densities = sorted(
-        (material.region, material.density or 0.0) for material in parts["materials"]
-    )
-
+    # Densities act only by weight.
+    densities = sorted((material.region, material.density or 0.0) for material in bundle.materials)
     if analysis.gravity is not None:
         content["weight"] = {"gravity": analysis.gravity, "densities": densities}
-    if analysis.nonlinear and parts["mesh"] is not None and parts["deck"] is None:
-        content["solver"] = NONLINEAR_SOLVER
-    if heated:
-        content["inputs"] = {"temperature": further[TEMPERATURE].reference}
-        if (field := further[TEMPERATURE].field) is not None:
-            content["inputs"]["field"] = _file_hash(field)
     if ACCELERATIONS[0] in further:
         content["acceleration"] = densities
 
-    for name in filter(parts.get, ("ties", "bolts", "joints")):
-        texts = [json.dumps(vars(each), default=np.ndarray.tolist) for each in parts[name]]
-        content[name] = texts if name == "ties" else sorted(texts)  # the first tie takes a node
-    if "bolts" in content:
+    if analysis.nonlinear and bundle.mesh is not None and bundle.deck is None:
+        content["solver"] = NONLINEAR_SOLVER
+    if heated:
+        field = further[TEMPERATURE].field
+        file = {} if field is None else {"field": _file_hash(field)}
+        content["inputs"] = {"temperature": further[TEMPERATURE].reference} | file
+
+    # The order of ties counts: a node of two ties follows the first.
+    if bundle.ties:
+        content["ties"] = [_text(tie) for tie in bundle.ties]
+    if bundle.joints:
+        content["joints"] = sorted(map(_text, bundle.joints))
+    if bundle.bolts:
+        content["bolts"] = sorted(map(_text, bundle.bolts))
         content["zero"] = analysis.zero
 
-    if _names_nodes_of_cases(parts["mesh"], [content["supports"], content["interface"]]):
+    if _depends_on_cases(bundle):
         content["case"] = CASE
 
     # json writes floats by repr, so equal numbers give equal text and different ones do not.
@@ -154,34 +133,35 @@ def _mesh(source: MeshSource | None) -> object:
 
 
 def _chosen(choice: FaceSelector | BodySelector) -> object:
-    """Return the keys of a group by geometry; those added to the format later only if given."""
+    """Return the keys of a group by geometry: those that are given, and four always."""
     if isinstance(choice, BodySelector):
         return {"numbers": choice.bodies, "near": choice.near, "plane": None, "radius": None}
-    plane = choice.plane
-    if plane is not None:
-        plane = ("xyz".index(plane) if isinstance(plane, str) else plane, choice.at)
-    cylinder = choice.cylinder and (choice.cylinder.point, choice.cylinder.axis)
-    newer = [("cylinder", cylinder), *((key, getattr(choice, key)) for key in _RESTRICTING)]
-    keys = {"numbers": choice.faces, "near": choice.near, "plane": plane, "radius": choice.radius}
-    return keys | {key: value for key, value in newer if value is not None}
+    keys = {name: getattr(choice, name) for name in keys_of(FaceSelector)}
+    keys["numbers"] = keys.pop("faces")
+    at = keys.pop("at")
+    if (plane := choice.plane) is not None:
+        keys["plane"] = ("xyz".index(plane) if isinstance(plane, str) else plane, at)
+    if choice.cylinder is not None:
+        keys["cylinder"] = (choice.cylinder.point, choice.cylinder.axis)
+    always = "plane", "radius"
+    return {name: value for name, value in keys.items() if value is not None or name in always}
 
 
-def _names_nodes_of_cases(source: MeshSource | None, groups: object) -> bool:
-    """Return whether a group is of single nodes of a deck whose cases are no sum of each other."""
+def _depends_on_cases(bundle: Bundle) -> bool:
+    """Return whether a group is of single nodes of a deck that its last case may lack."""
+    source = bundle.mesh
     if source is None or source.file is None or source.file.suffix.lower() != ".inp":
         return False
-    if not _GROUP.search(json.dumps(groups)):
-        return False
-    text = deck_text(source.file).encode(errors="replace")
-    initials = ""
-    for word, more in _KEYWORD.findall(text):
-        initial = word[:1].decode().lower().replace("c", "b")
-        initials += initial.upper() if _NEW.search(more) else initial
-    return _DROPS_NODES.search(initials) is not None
+    groups = [interface.section for interface in bundle.interfaces]
+    if (supports := bundle.supports) is not None:
+        groups += supports.fixed
+        groups += [support.group for support in (*supports.sliding, *supports.bushings)]
+    of_single_nodes = any(group.startswith((HELD_IN, WITH_FORCES)) for group in groups)
+    return of_single_nodes and drops_nodes(deck_text(source.file))
 
 
 def _material(material: AnyMaterial, heated: bool) -> list[object]:
-    """Return a material's law, without yield strength, and densities, hashed where they act."""
+    """Return a material's law, without its yield strength and density."""
     content: list[object] = [material.region, material.youngs_modulus, material.poisson_ratio]
     if material.law != "isotropic":
         content.append(material.law)
@@ -199,10 +179,7 @@ def _material(material: AnyMaterial, heated: bool) -> list[object]:
 
 
 def _supports(supports: Supports | None) -> object:
-    """Return the supports without their order, which changes nothing.
-
-    Sliding ones and bushings are left out if there are none: fingerprints of before stay valid.
-    """
+    """Return the supports without their order, which changes nothing."""
     if supports is None or not (supports.sliding or supports.bushings):
         return None if supports is None else sorted(supports.fixed)
     return {
@@ -220,13 +197,15 @@ def _supports(supports: Supports | None) -> object:
     }
 
 
-def _interface(interface: Interface | None) -> object:
-    """Return section, point and coupling; no name, which is hashed where there are several.
+def _interfaces(interfaces: tuple[Interface, ...]) -> object:
+    """Return the content of the interface, or of several by their names."""
+    if len(interfaces) > 1:
+        return [{"name": interface.name, "is": _interface(interface)} for interface in interfaces]
+    return _interface(interfaces[0]) if interfaces else None
 
-    Weights by area are left out: fingerprints from before there were others stay valid.
-    """
-    if interface is None:
-        return None
+
+def _interface(interface: Interface) -> object:
+    """Return section, point and coupling, without the name."""
     point = None if interface.point is None else interface.point.tolist()
     weights = {} if interface.weights == "area" else {"weights": interface.weights}
     return weights | {
@@ -250,6 +229,11 @@ def _deck(deck: Deck | None) -> object:
         "unit": deck.unit,
         "moment": deck.moment,
     }
+
+
+def _text(part: Tie | Bolt | Joint) -> str:
+    """Return all fields of a tie, bolt or joint as JSON."""
+    return json.dumps(vars(part), default=np.ndarray.tolist)
 
 
 def _file_hash(path: Path) -> str:
