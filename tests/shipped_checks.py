@@ -27,7 +27,9 @@ def shipped_check(folder: Path) -> dict[str, Any]:
     sections = result.get("sections", one)
     return {
         "fingerprint": result["fingerprint"],
-        "sections": [{"point": np.round(section["point"], PLACES).tolist()} for section in sections],
+        "sections": [
+            {"point": np.round(section["point"], PLACES).tolist()} for section in sections
+        ],
         "vibration": _rounded(result.get("vibration") or {}),
     }
 
