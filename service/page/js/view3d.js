@@ -40,7 +40,7 @@ function fitted({ fit: { box, domain = { x: [0, 1], y: [0, 1] }, names = NAMES }
     });
   };
   let away = 0.1;
-  while (!fits(away) && away < FARTHEST) away *= 1.01;
+  while (!fits(away) && away < FARTHEST) away *= 1.005;
   return away;
 }
 
