@@ -1,4 +1,4 @@
-"""Write the shipped components' check.json: mass, first frequency and condensed mass.
+"""Write the shipped components' check.json: interface points, mass, frequency, condensed mass.
 
 A server reads them from there, since it never builds a mesh itself. After a change of a shipped
 bundle: python -m tests.shipped_checks
@@ -10,18 +10,28 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check.reporting import report
 from wrenchbook.service.library.component import CHECK_FILE
 
 DIGITS = 7  # more than a mesh is right to
+PLACES = 9  # m, of a point: below them is round-off
 
 
-def vibration(folder: Path) -> dict[str, Any]:
-    """Return the vibration of a bundle's check with its fingerprint."""
+def shipped_check(folder: Path) -> dict[str, Any]:
+    """Return the parts of a bundle's check that a server reads, with its fingerprint."""
     result = report(folder)
-    own = result.get("vibration") or {}
-    return {"fingerprint": result["fingerprint"], "vibration": _rounded(own)}
+    one = [result["section"]] if "section" in result else []  # a deck has none
+    sections = result.get("sections", one)
+    return {
+        "fingerprint": result["fingerprint"],
+        "sections": [
+            {"point": np.round(section["point"], PLACES).tolist()} for section in sections
+        ],
+        "vibration": _rounded(result.get("vibration") or {}),
+    }
 
 
 def _rounded(value: Any) -> Any:
@@ -35,7 +45,7 @@ def _rounded(value: Any) -> Any:
 def main() -> None:
     """Write the files."""
     for folder in sorted(path.parent for path in SHIPPED.glob("*/component.toml")):
-        (folder / CHECK_FILE).write_text(json.dumps(vibration(folder)) + "\n", encoding="utf-8")
+        (folder / CHECK_FILE).write_text(json.dumps(shipped_check(folder)) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

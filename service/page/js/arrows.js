@@ -16,24 +16,22 @@ export async function picture(root, about, read, signal) {
   const [surface, detail] = await Promise.all([get(`${of(about.name)}/surface`, signal), get(of(about.name), signal)]);
   const interfaces = Object.entries(detail.interfaces || { "": detail.interface }).filter(([, one]) => one?.point);
   const place = el("div", { class: `plot${about.space ? "" : " low"}`, id: "loads" });
-  const view = figure(place, "The part and its loads", marks());
-  root.append(view.root, interfaces.length ? el("p", { class: "muted small" }, "Lines x, y and z at the point: the axes of the interface, in which loads and displacements are given.") : "");
+  const marks = { force: mark("outside", "force"), moment: mark("query", "moment") };
+  const view = figure(place, "The part and its loads", el("ul", { class: "key-of-marks" }, marks.force, marks.moment));
+  root.append(view.root, el("p", { class: "muted small" }, interfaces.length ? "Lines x, y and z at the point: the axes of the interface, in which loads and displacements are given." : "The point and the axes of the loads are those of the part's deck."));
   const edges = lines(surface.vertices, outline(surface.vertices, surface.triangles), MM);
-  const drawing = await draw(place, (shade) => drawn(place, about, surface, edges, interfaces, read(), shade, view.camera), signal, `${about.name} with its loads`);
+  const drawing = await draw(place, (shade) => drawn(place, about, surface, edges, interfaces, read(), shade, view.camera, marks), signal, `${about.name} with its loads`);
   view.hold(drawing);
   return drawing;
 }
 
-function marks() {
-  const one = (colour, text) => {
-    const mark = el("i", { class: "square" });
-    mark.style.background = `var(--${colour})`;
-    return el("li", {}, mark, text);
-  };
-  return el("ul", { class: "key-of-marks" }, one("outside", "force"), one("query", "moment"));
+function mark(colour, text) {
+  const square = el("i", { class: "square" });
+  square.style.background = `var(--${colour})`;
+  return el("li", {}, square, text);
 }
 
-function drawn(place, about, { vertices, triangles }, edges, interfaces, values, shade, camera) {
+function drawn(place, about, { vertices, triangles }, edges, interfaces, values, shade, camera, marks) {
   const corners = [0, 1, 2].map((k) => triangles.map((one) => one[k]));
   const body = { type: "mesh3d", x: column(vertices, 0, MM), y: column(vertices, 1, MM), z: column(vertices, 2, MM), i: corners[0], j: corners[1], k: corners[2], color: shade.accent, opacity: 0.25, hoverinfo: "skip" };
   const middle = [0, 1, 2].map((k) => vertices.reduce((sum, one) => sum + one[k], 0) / vertices.length);
@@ -43,7 +41,8 @@ function drawn(place, about, { vertices, triangles }, edges, interfaces, values,
   const size = LONGEST * extent(vertices) * MM;
   const arrows = ["force", "moment"].flatMap((kind, which) => {
     const loads = interfaces.map(([name]) => vectorOf(about, values, name, kind));
-    const most = Math.max(...loads.map((load) => Math.hypot(...load)));
+    const most = Math.max(0, ...loads.map((load) => Math.hypot(...load)));
+    marks[kind].hidden = !most;
     return interfaces.flatMap(([, one], k) => (loads[k].some((part) => part) ? arrow(one, loads[k].map((part) => (size * part) / most), size, shade[which ? "query" : "outside"]) : []));
   });
   const data = [body, rim, points, ...interfaces.map(([name, one]) => named_(name, one, middle, 0.75 * size, shade)), ...interfaces.flatMap(([, one]) => frame(one, 0.5 * size, shade)), ...arrows];

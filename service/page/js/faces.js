@@ -59,7 +59,8 @@ function painted(trace, chosen, shade, labels = []) {
 function sceneOf(place, view, bodies, labels) {
   const box = boxOf([...bodies.flatMap(([x, y, z]) => Array.from(x, (one, k) => [one, y[k], z[k]])), ...labels.map(placeOf)]);
   place.fit = { box };
-  const axis = (name) => ({ title: { text: `${name}, mm` }, nticks: box[name] < 0.1 ? 2 : 5 });
+  const isFlat = (name) => box[name] < 0.1; // too short for ticks and a title
+  const axis = (name) => ({ title: { text: isFlat(name) ? "" : `${name}, mm` }, nticks: 5, showticklabels: !isFlat(name) });
   return { xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), aspectmode: "manual", aspectratio: box, camera: view.camera() };
 }
 

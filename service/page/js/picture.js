@@ -36,7 +36,9 @@ export async function paint(canvas, { name, has_fea: meshed }, signal, frames = 
 
 function shown(canvas, draw, signal) {
   canvas.hidden = false;
-  draw();
+  const sized = new ResizeObserver(draw); // at the first layout, and at each other width
+  sized.observe(canvas);
+  signal.addEventListener("abort", () => sized.disconnect());
   window.addEventListener("theme", draw, { signal });
 }
 

@@ -11,7 +11,7 @@ import { figure } from "./view3d.js";
 import { lastWrench, wrenchForm } from "./wrench_form.js";
 
 const MM = 1000;
-const NAMES = [54, 24]; // px beside, and above and below the box: its axes have ticks at true scale alone
+const NAMES = { true: [60, 28], false: [26, 18] }; // px beside, and above and below the box; at true scale its axes have ticks
 const SEEN = 0.12; // of the part's size: what the largest displacement is first magnified to
 const SHOWN = () => [["size", "|u|"], ["0", symbol("ux")], ["1", symbol("uy")], ["2", symbol("uz")]];
 
@@ -64,15 +64,16 @@ async function stageOf(stage, about, wrench, shape, signal) {
   const slider = el("input", { type: "range", min: 0, max: 100, step: 1, value: 50, id: "magnify", "aria-label": "Magnification" });
   let drawing = null;
   const set = (factor, moveSlider) => {
+    const sameTicks = (state.factor === 1) === (factor === 1);
     state.factor = factor;
     magnification.textContent = `× ${number(factor, 3)}`;
     slider.setAttribute("aria-valuetext", `${number(factor, 3)} times`);
     if (moveSlider) slider.value = 50 * factor / round(natural);
-    if (drawing) redraw(drawing, shape, factor);
+    if (drawing) sameTicks ? redraw(drawing, shape, state) : drawing.again();
   };
   slider.addEventListener("input", () => set(round((slider.value / 50) * round(natural)), false));
   put(stage,
-    el("div", { class: "line" }, pill(shape.coverage), el("span", { class: "muted small" }, sourceOf(shape))),
+    el("div", { class: "line" }, isOver(shape) ? pill("covered, over tolerance", "thin") : pill(shape.coverage), el("span", { class: "muted small" }, sourceOf(shape))),
     shape.reason ? note(shape.coverage, pageWords(shape.reason)) : null,
     warned(about, shape),
     view.root,
@@ -90,9 +91,11 @@ async function stageOf(stage, about, wrench, shape, signal) {
 const round = (factor) => (factor > 2 ? Number(factor.toPrecision(2)) : Math.round(factor * 100) / 100);
 const said = (about, largest) => `The deformed surface of ${about.name}; its largest displacement is ${quantity(largest, "m")}.`;
 
+const isOver = ({ coverage, within_tolerance: within }) => coverage === "covered" && within === false;
+
 function warned(about, { coverage, error_parts: parts, within_tolerance: within }) {
   if (parts && parts.mesh === null) return note("thin", `The error bars lack the discretisation error: ${parts.mesh_basis}.`);
-  return coverage === "covered" && within === false ? note("thin", overTolerance(about, (parts.mesh + (parts.linearity ?? 0)) / about.tolerance.translation)) : null;
+  return isOver({ coverage, within_tolerance: within }) ? note("thin", overTolerance(about, (parts.mesh + (parts.linearity ?? 0)) / about.tolerance.translation)) : null;
 }
 
 const CAUSES = { table: "interpolation", mesh: "discretisation", linearity: "linear analysis" };
@@ -114,17 +117,18 @@ function picture(place, shape, sizes, { factor, colour, edges }, shade, camera) 
   const points = moved(shape.vertices, shape.displacement, factor);
   const values = (colour === "size" ? sizes : column(shape.displacement, Number(colour), 1)).map((one) => one * MM);
   const corners = [0, 1, 2].map((k) => shape.triangles.map((one) => one[k]));
+  const moves = values.some((one) => one !== 0);
   const body = {
     type: "mesh3d", x: column(points, 0, MM), y: column(points, 1, MM), z: column(points, 2, MM),
-    i: corners[0], j: corners[1], k: corners[2], intensity: values, colorscale: "Viridis", flatshading: false,
+    i: corners[0], j: corners[1], k: corners[2], intensity: values, showscale: moves, ...(moves ? {} : { cmin: 0, cmax: 1 }), colorscale: "Viridis", flatshading: false,
     lighting: { ambient: 0.62, diffuse: 0.55, specular: 0.08, roughness: 0.8 }, hovertemplate: "%{x:.4~g}, %{y:.4~g}, %{z:.4~g} mm<extra></extra>",
-    colorbar: { title: { text: colour === "size" ? "|u|, mm" : `u${"xyz"[Number(colour)]}, mm`, side: narrow ? "bottom" : "top" }, thickness: 12, tickfont: { color: shade.muted }, outlinewidth: 0, ...(narrow ? { orientation: "h", len: 0.9, x: 0.5, y: 0, yanchor: "bottom" } : { len: 0.7, x: 1, xanchor: "right" }) },
+    colorbar: { title: { text: colour === "size" ? "|u|, mm" : `u${"xyz"[Number(colour)]}, mm`, side: "top" }, thickness: 12, tickfont: { color: shade.muted }, outlinewidth: 0, ...(narrow ? { orientation: "h", len: 0.9, x: 0.5, y: 0, yanchor: "bottom" } : { len: 0.7, x: 1, xanchor: "right" }) },
   };
   const before = { type: "scatter3d", mode: "lines", ...lines(shape.vertices, edges, MM), line: { color: shade.muted, width: 3 }, hoverinfo: "skip", connectgaps: false };
   const after = { ...before, ...lines(points, edges, MM), line: { color: shade.ink, width: 3 } };
   const axis = (name) => ({ ...measure(name, factor), nticks: 5 });
   const box = boxOf([...points, ...shape.vertices]), domain = narrow ? { x: [0, 1], y: [0.2, 1] } : { x: [0, 0.9], y: [0, 1] };
-  place.fit = { box, domain, names: NAMES };
+  place.fit = { box, domain, names: NAMES[factor === 1] };
   const annotations = [mark(farthest(points, sizes), shade)];
   return { data: [body, before, after], layout: { scene: { xaxis: axis("x"), yaxis: axis("y"), zaxis: { ...axis("z"), nticks: narrow ? 2 : 4 }, aspectmode: "manual", aspectratio: box, domain, camera: camera(), annotations }, uirevision: "same" } };
 }
@@ -139,14 +143,12 @@ const farthest = (points, sizes) => (points[sizes.indexOf(sizes.reduce((most, on
 const measure = (name, factor) => ({ title: { text: factor === 1 ? `${name}, mm` : name }, showticklabels: factor === 1 });
 
 // Only points are moved: colours and triangles stay as they are.
-function redraw(drawing, shape, factor) {
+function redraw(drawing, shape, { factor, edges }) {
   const points = moved(shape.vertices, shape.displacement, factor);
-  const edges = outline(shape.vertices, shape.triangles);
   const after = lines(points, edges, MM), [x, y, z] = farthest(points, lengths(shape.displacement));
-  const axes = Object.fromEntries(["x", "y", "z"].flatMap((name) => Object.entries(measure(name, factor)).map(([key, value]) => [`scene.${name}axis.${key}`, value])));
   drawing.plotly.update(drawing.place, {
     x: [column(points, 0, MM), after.x], y: [column(points, 1, MM), after.y], z: [column(points, 2, MM), after.z],
-  }, { ...axes, "scene.aspectratio": boxOf([...points, ...shape.vertices]), "scene.annotations[0].x": x, "scene.annotations[0].y": y, "scene.annotations[0].z": z }, [0, 2]);
+  }, { "scene.aspectratio": boxOf([...points, ...shape.vertices]), "scene.annotations[0].x": x, "scene.annotations[0].y": y, "scene.annotations[0].z": z }, [0, 2]);
 }
 
 function measured(shape, sizes, largest, mean) {
@@ -174,7 +176,8 @@ function stressWithBar({ largest, error }) {
   return `${value} MPa ± ${bar} MPa (interpolation; the mesh's error is not included)`;
 }
 
-const at = (point) => `(${point.map((one) => number(one * MM, 3)).join(", ")}) mm`;
+const NANO = 1e9;
+const at = (point) => `(${point.map((one) => number((Math.round(one * NANO) / NANO) * MM, 3)).join(", ")}) mm`;
 
 function download(about, wrench) {
   const form = select([["gltf", "glTF"], ["vtu", "VTU (ParaView)"], ["json", "JSON"]], "gltf");

@@ -19,6 +19,7 @@ function turned({ eye }, [around, up, away]) {
   return { x: far * Math.cos(tilt) * Math.cos(azimuth), y: far * Math.cos(tilt) * Math.sin(azimuth), z: far * Math.sin(tilt) };
 }
 
+const ROUND_OFF = 1e-6; // of a camera that Plotly returns
 const HALF = Math.tan(Math.PI / 8); // of the height that is seen, at distance 1
 const NAMES = [60, 36]; // px beside, and above and below the box, for the names and ticks of its axes
 const minus = (a, b) => a.map((one, k) => one - b[k]), dot = (a, b) => a.reduce((sum, one, k) => sum + one * b[k], 0), size = (a) => Math.hypot(...a);
@@ -39,17 +40,20 @@ function fitted({ fit: { box, domain = { x: [0, 1], y: [0, 1] }, names = NAMES }
     });
   };
   let away = 0.1;
-  while (!fits(away) && away < FARTHEST) away *= 1.01;
+  while (!fits(away) && away < FARTHEST) away *= 1.005;
   return away;
 }
 
 // A figure around the place of a drawing, which has a `fit` once it is drawn. `camera()` is where it is looked at from.
 export function figure(place, label, ...below) {
   let drawing = null;
-  const start = () => ({ ...START, eye: turned(START, [0, 0, fitted(place)]) });
-  const camera = () => drawing?.place._fullLayout?.scene?._scene?.getCamera?.() ?? start();
+  let begun = START; // the last camera that the user did not choose
+  const start = () => (begun = { ...START, eye: turned(START, [0, 0, fitted(place)]) });
+  const isChosen = ({ eye }) => Math.hypot(...["x", "y", "z"].map((name) => eye[name] - begun.eye[name])) > ROUND_OFF;
+  const now = () => drawing?.place._fullLayout?.scene?._scene?.getCamera?.();
+  const camera = () => (now() && isChosen(now()) ? now() : start());
   const look = (camera_) => drawing?.plotly.relayout(drawing.place, { "scene.camera": camera_ });
-  const turn = (how) => { if (drawing) look({ ...START, ...camera(), eye: turned(camera(), how) }); };
+  const turn = (how) => { if (drawing) look({ ...START, ...now(), eye: turned(now() ?? start(), how) }); };
   const buttons = BUTTONS.map(([name, sign, text]) =>
     el("button", { type: "button", class: "small", title: text, "aria-label": text, onclick: () => turn(VIEWS[name]) }, sign));
   buttons.push(el("button", { type: "button", class: "small", onclick: () => look(start()) }, "Reset"));

@@ -767,6 +767,12 @@ def test_each_view_of_such_a_component_is_drawn_without_a_mistake(browser, name,
     assert browser.mistakes() == []
 
 
+def test_the_key_of_the_loads_names_those_that_are_drawn(browser, plate):
+    browser.visit(f"{PLATE}/query")
+    browser.drawn("#loads")
+    assert browser.text(".key-of-marks") == "force"
+
+
 def test_the_scene_plan_takes_loads_by_interface(browser):
     browser.visit("#/scene")
     browser.until(lambda: browser.all("fieldset input[type=checkbox]"))
@@ -1184,7 +1190,7 @@ return [place.clientWidth, place.clientHeight].map((length, k) =>
         ("query", "#loads", (60, 36)),
         ("coverage", "#coverage", (60, 36)),
         ("faces", "#faces", (60, 36)),
-        ("shape", "#shape", (54, 24)),
+        ("shape", "#shape", (26, 18)),
     ],
 )
 def test_a_drawing_in_space_fills_its_frame(browser, plate, view, place, names, width):
@@ -1196,6 +1202,15 @@ def test_a_drawing_in_space_fills_its_frame(browser, plate, view, place, names, 
     assert beside > names[0] - 10  # px for the names and ticks of the axes
     assert above > names[1] - 6
     assert beside < names[0] + 5 or above < names[1] + 4
+
+
+def test_a_drawing_is_fitted_again_to_a_smaller_width(browser, plate):
+    """Titles of its axes were cut off."""
+    browser.resize(1400, 900)
+    browser.visit(f"{PLATE}/coverage")
+    browser.drawn("#coverage")
+    browser.resize(390, 900)
+    browser.until(lambda: browser.run(FREE, "#coverage")[0] > 50)
 
 
 def test_the_names_of_axes_in_space_are_smaller_on_a_telephone(browser, plate):
