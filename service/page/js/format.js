@@ -44,7 +44,7 @@ export const superscript = (power) => [...String(power)].map((one) => POWERS[one
 const named = (text) => text.replaceAll(/(?:\b(\w+)\.)?\b([fm][xyz])\b/g, (_, at, name) => (at ? `${at} ` : "") + plain(name));
 
 // A text of the server as a sentence: a capital letter, but of a key; µm in place of 1e-06 m and mrad in place of 0.0012 rad, other powers of ten as such.
-export const sentence = (text) => (/^\w+\.\w/.test(text) ? text[0] : text[0].toUpperCase()) + named(text.slice(1)).replaceAll("m/s^2", "m/s²").replaceAll(/(\d)%/g, "$1 %").replaceAll(/(-?[\d.e+]+)\.\.(?=-?\d)/g, "$1 to ").replaceAll(/(?<![\w.])-?\d+\.\d{5,}(?![\w.])/g, (value) => number(Number(value))).replaceAll(/(?<![\w.])-(?=\d)/g, "\u2212").replaceAll(/(\d(?:\.\d+)?e[+-]\d+|\b0\.0\d+) (m|rad|Pa)\b(?!\/)/g, (_, value, unit) => quantity(Number(value), unit)).replaceAll(/(\d)e([+-]\d+)/g, (_, digit, power) => `${digit}·10` + superscript(Number(power)));
+export const sentence = (text) => (/^\w+\.\w/.test(text) ? text[0] : text[0].toUpperCase()) + named(text.slice(1)).replaceAll("m/s^2", "m/s²").replaceAll(/(?<=\d) ?x ?(?=[1-9])/g, " × ").replaceAll(/(\d)%/g, "$1 %").replaceAll(/(-?[\d.e+]+)\.\.(?=-?\d)/g, "$1 to ").replaceAll(/(?<![\w.])-?\d+\.\d{5,}(?![\w.])/g, (value) => number(Number(value))).replaceAll(/(?<![\w.])-(?=\d)/g, "\u2212").replaceAll(/(\d(?:\.\d+)?e[+-]\d+|\b0\.0\d+) (m|rad|Pa)\b(?!\/)/g, (_, value, unit) => quantity(Number(value), unit)).replaceAll(/(\d)e([+-]\d+)/g, (_, digit, power) => `${digit}·10` + superscript(Number(power)));
 
 // A text of the server without the options of commands.
 export const pageWords = (text) => sentence(text.replaceAll(/ \(--[^)]*\)/g, ""));
@@ -65,11 +65,14 @@ export function withoutRoundOff(values) {
   return values.map((one) => (one !== null && Math.abs(one) < least ? 0 : one));
 }
 
-// A value and its bar in one unit.
-export function withBar(value, bar, unit) {
+// The largest size of some values, for the unit of them all.
+export const largestOf = (values) => values.reduce((most, one) => Math.max(most, Math.abs(one ?? 0)), 0);
+
+// A value and its bar in one unit: that of a `size`, else of the larger of both.
+export function withBar(value, bar, unit, size = largestOf([value, bar])) {
+  const [scale, prefix] = prefixOf(size), unknown = bar === null || bar === undefined;
   if (value === null || value === undefined) return { value: "–", bar: "–" };
-  if (value === 0 && !bar) return { value: `0 ${unit}`, bar: bar === 0 ? "± 0" : "–" };
-  const [scale, prefix] = prefixOf(Math.max(Math.abs(value), bar ?? 0)), unknown = bar === null || bar === undefined;
+  if (value === 0 && !bar) return { value: `0 ${prefix}${unit}`, bar: bar === 0 ? "± 0" : "–" };
   const shown = rounded(value / scale, unknown ? 0 : bar / scale);
   return { value: `${shown.value} ${prefix}${unit}`, bar: unknown ? "–" : `± ${shown.bar} ${prefix}${unit}` };
 }
@@ -80,11 +83,20 @@ export function quantity(value, unit, digits = 3) {
   return `${number(value / scale, digits)}\u00a0${prefix}${unit}`; // no line breaks before a unit
 }
 
-// Three values with one prefix: (1.2, 0, −3.4) µm.
-export function triple(values, unit) {
-  const sizes = withoutRoundOff(values), [scale, prefix] = prefixOf(Math.max(...sizes.map((one) => Math.abs(one ?? 0))));
-  return `(${sizes.map((one) => (one === null ? "–" : number(one / scale))).join(",\u00a0")})\u00a0${prefix}${unit}`;
+// Texts of numbers as a column: right-aligned ones have their points below each other.
+export function aligned(texts) {
+  const parts = texts.map((text) => text.match(/^((?:± )?\u2212?\d+)(\.\d+)?( .*)?$/)), after = parts.map((part) => part?.[2]?.length ?? 0), most = Math.max(...after);
+  const space = (n, has) => (has || !n ? "" : "\u2008") + "\u2007".repeat(Math.max(0, has ? n : n - 1)); // as wide as a point, and as digits
+  return texts.map((text, k) => (parts[k] ? `${parts[k][1]}${parts[k][2] ?? ""}${space(most - after[k], after[k])}${parts[k][3] ?? ""}` : text));
 }
+
+// Three values with one prefix: (1.2, 0, −3.4) µm; the prefix is that of a `size`, else of the largest.
+export function triple(values, unit, size = largestOf(values)) {
+  const sizes = withoutRoundOff(values), [scale, prefix] = prefixOf(size), least = NEGLIGIBLE * largestOf(values);
+  return `(${sizes.map((one) => (one === null ? "–" : one && Math.abs(one) < least ? "≈\u00a00" : number(one / scale))).join(",\u00a0")})\u00a0${prefix}${unit}`;
+}
+
+const NEGLIGIBLE = 1e-4; // of the largest of three values: number() would need a power of ten
 
 export function stress(value, digits = value >= 1e6 ? 4 : 3) {
   if (value === null || value === undefined) return "–";
