@@ -40,6 +40,9 @@ export function scientific(value, digits) {
 const POWERS = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
 export const superscript = (power) => [...String(power)].map((one) => POWERS[one]).join("");
 
+// The title of a component, if it says more than its name.
+export const titleOf = ({ name, title }) => (title === name ? "" : title.replaceAll(/(?<=\d)x(?=\d)/g, " × "));
+
 // Loads as the fields have them: Fz in place of fz.
 const named = (text) => text.replaceAll(/(?:\b(\w+)\.)?\b([fm][xyz])\b/g, (_, at, name) => (at ? `${at} ` : "") + plain(name));
 
@@ -52,11 +55,11 @@ export const pageWords = (text) => sentence(text.replaceAll(/ \(--[^)]*\)/g, "")
 const placeOf = (value) => (value ? Math.floor(Math.log10(Math.abs(value))) : 0);
 const MOST_DIGITS = 7;
 
-// A value rounded to the last digit of its bar, which has two digits; without a bar three digits.
-export function rounded(value, bar) {
+// A value rounded to the last digit of its bar, which has two digits; without a bar three digits. No digit is below 10^least, and the bar is rounded up there.
+export function rounded(value, bar, least = -Infinity) {
   const known = bar > 0, size = placeOf(value), fits = known ? placeOf(Number(bar.toPrecision(2))) - 1 : size - 2;
-  const last = Math.max(fits, size - MOST_DIGITS + 1), text = (one) => (Math.round(one / 10 ** last) * 10 ** last).toFixed(Math.max(0, -last));
-  return { value: minus(text(value).replace(/^-(0(\.0*)?)$/, "$1")), bar: known && fits === last ? text(bar) : number(bar, 2) };
+  const last = Math.max(fits, size - MOST_DIGITS + 1, least), text = (one) => (Math.round(one / 10 ** last) * 10 ** last).toFixed(Math.max(0, -last));
+  return { value: minus(text(value).replace(/^-(0(\.0*)?)$/, "$1")), bar: known && fits === last ? text(bar) : last === least && known ? text(Math.ceil(bar / 10 ** last) * 10 ** last) : number(bar, 2) };
 }
 
 // Values of one kind with 0 for the round-off of a solver.
@@ -68,12 +71,14 @@ export function withoutRoundOff(values) {
 // The largest size of some values, for the unit of them all.
 export const largestOf = (values) => values.reduce((most, one) => Math.max(most, Math.abs(one ?? 0)), 0);
 
-// A value and its bar in one unit: that of a `size`, else of the larger of both.
-export function withBar(value, bar, unit, size = largestOf([value, bar])) {
-  const [scale, prefix] = prefixOf(size), unknown = bar === null || bar === undefined;
+const BELOW = 4; // digits below the first one of a column's largest number
+
+// A value and its bar in one unit: that of the largest of a column, `size`, else of the larger of both.
+export function withBar(value, bar, unit, size = 0) {
+  const [scale, prefix] = prefixOf(size || largestOf([value, bar])), unknown = bar === null || bar === undefined;
   if (value === null || value === undefined) return { value: "–", bar: "–" };
   if (value === 0 && !bar) return { value: `0 ${prefix}${unit}`, bar: bar === 0 ? "± 0" : "–" };
-  const shown = rounded(value / scale, unknown ? 0 : bar / scale);
+  const shown = rounded(value / scale, unknown ? 0 : bar / scale, size ? placeOf(size / scale) - BELOW : -Infinity);
   return { value: `${shown.value} ${prefix}${unit}`, bar: unknown ? "–" : `± ${shown.bar} ${prefix}${unit}` };
 }
 

@@ -22,7 +22,7 @@ async function show() {
   const { signal } = leaving;
   markWhereWeAre(address);
   const [file, found] = viewOf(address);
-  const back = address.startsWith("/jobs/") ? el("a", { href: "#/jobs" }, "Go to the jobs") : el("a", { href: "#/" }, "Go to the library");
+  const back = address === "/" ? "" : address.startsWith("/jobs/") ? el("a", { href: "#/jobs" }, "Go to the jobs") : el("a", { href: "#/" }, "Go to the library");
   document.title = "wrenchbook";
   if (!file) {
     put(main, el("h1", {}, "No such page"), el("p", {}, back));
@@ -53,7 +53,13 @@ function markWhereWeAre(address) {
   }
 }
 
-const noAnswer = () => Object.assign(document.getElementById("state"), { textContent: "no answer", className: "state faulty", title: "The server does not answer." });
+let retry = 0;
+function noAnswer() {
+  Object.assign(document.getElementById("state"), { textContent: "no answer", className: "state faulty", title: "The server does not answer." });
+  clearTimeout(retry);
+  retry = setTimeout(tellState, RETRY_MS);
+}
+const RETRY_MS = 2000; // between looks at a server that is away
 
 async function tellState() {
   if (document.hidden) return;
@@ -61,6 +67,7 @@ async function tellState() {
   const set = (text, kind, more = "") => { if (place.textContent !== text + more) put(place, text, el("span", { class: "detail" }, more)); place.className = `state ${kind}`; };
   try {
     const state = await (await send("GET", "health/ready", { quiet: true })).json();
+    if (document.querySelector("main .lost") && !document.querySelector("main form")) show(); // a form keeps what was typed
     if (state.building.length) set("building", "ready", ` ${state.building.join(", ")}`);
     else if (state.status === "degraded") set("degraded", "faulty", `: ${Object.keys(state.broken).join(", ")}`);
     else set("ready", "ready");
@@ -86,6 +93,7 @@ function askForKey() {
     if (key() && needed) notify("This server needs no key.");
     close();
     markKey();
+    tellState();
     return show();
   };
   const form = el("form", {

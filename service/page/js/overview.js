@@ -12,7 +12,7 @@ import { insideBars, insideWords, madeOf, reportOf } from "./report.js";
 import { rowLinks } from "./rows.js";
 import { isAtWork, legend, namesOf, openJobs, sharesOf, wholeError } from "./shares.js";
 
-export async function show(root, { name }, signal) {
+export async function show(root, { name }, signal, query = new URLSearchParams()) {
   put(root, el("p", { class: "muted" }, "…"));
   const about = await get(of(name), signal);
   const warned = el("div", { class: "stack" }), glance = el("div", { class: "stack" }, el("p", { class: "muted" }, "…"));
@@ -41,6 +41,7 @@ export async function show(root, { name }, signal) {
     el("div", { class: "halves" },
       el("div", { class: "stack" }, el("section", { class: "card" }, el("h2", {}, "Coverage"), glance, about.has_fea ? fill(about, work, signal) : el("div", {}, linkTo(about, "table", "Import measured rows"))), range),
       el("div", { class: "stack" }, rows, el("section", { class: "card" }, el("h2", {}, "Part and conventions"), pictureOf(about, signal), contract(about)))));
+  if (query.has("fill")) document.getElementById("fill")?.focus(); // a link to the button
   let counting = null;
   const count_ = () => { // jobs end in bursts: the last one counts
     clearTimeout(counting);

@@ -135,8 +135,8 @@ function shown(answer, about, wrench, limits, why, over, solve) {
   return [
     el("div", { class: "line" }, stateOf(answer, outside), el("span", { class: "muted small" }, about_(answer))),
     outside ? note("outside", el("span", {}, pageWords(`${outside.slice(0, -1)}${reason ? `; ${reason}` : ""}.`)), extrapolated(answer) ? el("span", {}, guess) : null, solve ? el("div", {}, el("button", { type: "button", onclick: solve }, "Solve it nevertheless")) : null) : null,
-    extrapolated(answer) && !outside ? note("outside", guess) : null,
-    reason && !outside ? note(answered(answer) && !(why !== null && answer.coverage === "covered") ? answer.coverage : "", pageWords(reason)) : null,
+    extrapolated(answer) && !outside ? note("outside", reason ? el("span", {}, `${pageWords(reason)}.`) : null, el("span", {}, guess)) : null,
+    reason && !outside && !extrapolated(answer) ? note(answered(answer) && !(why !== null && answer.coverage === "covered") ? answer.coverage : "", pageWords(reason)) : null,
     !answered(answer) && !about.has_fea && !about.rows ? linkTo(about, "table", "Import rows") : null,
     why ? note("thin", el("strong", {}, "The error bar is unknown"), el("span", {}, `${sentence(why)}.`)) : null,
     over ? note("thin", over) : null,

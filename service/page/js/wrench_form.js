@@ -42,7 +42,7 @@ export function wrenchForm(about, { action, asked, changed, more = [] }) {
   };
   inputs.forEach(mind);
   const read = () => inputs.map((input) => (input.value === "" ? NaN : Number(input.value)));
-  const rangeOf = ([low, high]) => (low === high ? "" : low === -high ? ` ± ${number(high)}` : ` ${number(low)} to ${number(high)}`);
+  const rangeOf = ([low, high]) => (low === high ? "" : ` ${number(low)} to ${number(high)}`);
   const labelled = (places) => el("div", { class: known[places[0]].kind === "scalar" ? "stack tight" : "three" }, places.map((place) =>
     el("label", {}, known[place].kind === "scalar" ? `${known[place].name}, ${known[place].unit} (${number(spans[place][0])} to ${number(spans[place][1])})` : el("span", {}, mark(known[place].name.split(".").at(-1)), rangeOf(spans[place])), inputs[place])));
   const groups = [];
