@@ -3,7 +3,7 @@
 import { get, of, send, trouble } from "./api.js";
 import { choice, el, field, put, save, select, table, working } from "./dom.js";
 import { empty, emptyTable, linkTo } from "./empty.js";
-import { LOADS, OUTPUTS, count, counted, largestOf, number, plain, prefixOf, quantity, rounded, symbol, unitOfLoad, unitOfOutput, withBar } from "./format.js";
+import { LOADS, OUTPUTS, count, counted, largestOf, marked, number, plain, prefixOf, rounded, symbol, unitOfLoad, unitOfOutput, withBar } from "./format.js";
 import { draw, faint } from "./plot.js";
 
 const PLOTS = ["over-load", "over-order", "over-expected"];
@@ -110,7 +110,7 @@ function factors(reply) {
       const factor = rounded(one.factor ?? 0, one.half_width), spread = withBar(one.mean, one.rms, unitOfOutput(name), sizes[name[0]]);
       lines.push([...(several ? [part.import === null ? "none" : String(part.import)] : []), symbol(name),
         one.half_width === null ? number(one.factor, 5) : sure ? factor.value : "not determined", one.half_width === null ? "unknown" : sure ? `± ${factor.bar}` : "–", one.of_reference === null ? "unknown" : sure ? `± ${number(one.of_reference, 2)}` : "–",
-        spread.value, one.rms ? spread.bar.replace("± ", "") : quantity(0, unitOfOutput(name)), `${count(one.beyond_bars)} of ${count(one.compared)}`]);
+        spread.value, one.rms ? spread.bar.replace("± ", "") : spread.value, `${count(one.beyond_bars)} of ${count(one.compared)}`]);
     }
   }
   return table([...(several ? ["Import"] : []), "Output", "#Measured / reference", "#95 % bound", "#Part from the reference", "#Mean residual", "#RMS residual", "#Beyond the bars"], lines, { scrolls: true, class: "folds named" });
@@ -143,9 +143,9 @@ function picture({ reply, output, load }, k, shade) {
       name: part.import === null ? "no import" : `import ${part.import}`, hovertemplate: `row %{customdata}: %{y:.4~g} ${unit}<extra></extra>`,
     });
   }
-  const title = [`${plain(load)}, ${unitOfLoad(load)}`, "row, in the order of the table", `${plain(output)} of the reference, ${unit}`][k];
+  const title = [`${marked(load)}, ${unitOfLoad(load)}`, "row, in the order of the table", `${marked(output)} of the reference, ${unit}`][k];
   return { data, layout: {
-    xaxis: { title: { text: title }, ...(k === 1 ? { tick0: 0, dtick: Math.max(1, Math.ceil((x.at(-1) - x[0]) / MOST_TICKS)) } : {}) }, yaxis: { title: { text: `${k === 2 ? "measured" : "residual of"} ${plain(output)}, ${unit}` } },
+    xaxis: { title: { text: title }, ...(k === 1 ? { tick0: 0, dtick: Math.max(1, Math.ceil((x.at(-1) - x[0]) / MOST_TICKS)) } : {}) }, yaxis: { title: { text: `${k === 2 ? "measured" : "residual of"} ${marked(output)}, ${unit}` } },
     showlegend: reply.campaigns.length > 1, legend: { orientation: "h", y: 1.12 }, margin: { l: 60, r: 12, t: 24, b: 44 },
   } };
 }

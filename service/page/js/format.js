@@ -14,6 +14,7 @@ export function symbol(name) {
   return made;
 }
 
+export const marked = (name) => `${plain(name)[0]}<sub>${name[1]}</sub>`; // in a plot
 export const plain = (name) => (/[fm]/.test(name[0]) ? name[0].toUpperCase() : name[0]) + name[1];
 
 const PREFIXES = [[1, ""], [1e-3, "m"], [1e-6, "µ"], [1e-9, "n"], [1e-12, "p"]];

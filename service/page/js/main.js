@@ -2,6 +2,7 @@
 
 import { key, send, setKey, trouble } from "./api.js";
 import { el, note, notify, put } from "./dom.js";
+import "./theme.js";
 
 const VIEWS = [
   [/^\/$/, "library.js"],
@@ -128,29 +129,8 @@ async function markAudit() {
   link.hidden = refused;
 }
 
-const THEMES = { auto: ["◐ Auto", "light dark"], light: ["○ Light", "light"], dark: ["● Dark", "dark"] };
-
-function setTheme(name) {
-  const [text, scheme] = THEMES[name] || THEMES.auto;
-  document.documentElement.style.colorScheme = scheme;
-  const button = document.getElementById("theme");
-  button.textContent = text;
-  button.title = `Colours: ${text}. Click for the next scheme.`;
-  button.setAttribute("aria-label", `Colours: ${text}`);
-  window.dispatchEvent(new Event("theme"));
-}
-
-function nextTheme() {
-  const names = Object.keys(THEMES);
-  const now = localStorage.getItem("wrenchbook-theme") || "auto";
-  const next = names[(names.indexOf(now) + 1) % names.length];
-  localStorage.setItem("wrenchbook-theme", next);
-  setTheme(next);
-}
-
 document.getElementById("skip").addEventListener("click", (event) => { event.preventDefault(); main.focus(); });
 document.getElementById("key").addEventListener("click", askForKey);
-document.getElementById("theme").addEventListener("click", nextTheme);
 window.addEventListener("key-wanted", () => { if (!document.querySelector("dialog")) askForKey(); });
 window.addEventListener("hashchange", async () => {
   window.scrollTo(0, 0);
@@ -160,8 +140,6 @@ window.addEventListener("hashchange", async () => {
 });
 document.addEventListener("visibilitychange", tellState);
 window.addEventListener("no-connection", noAnswer);
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => window.dispatchEvent(new Event("theme")));
-setTheme(localStorage.getItem("wrenchbook-theme") || "auto");
 markKey();
 show();
 tellState();
