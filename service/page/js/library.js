@@ -82,7 +82,7 @@ async function refresh(name, cards, signal, rows) {
   if (rows !== undefined) { shown.rows.textContent = rowsText(rows); shown.all = rows; }
   if (!shown.all) { // none, or none yet
     const to = (view, text) => el("a", { href: `#/c/${encodeURIComponent(name)}/${view}` }, text);
-    put(shown.covered, shown.about.pending_rows ? `${beingBuilt(shown.about.pending_rows)} …` : ["empty table: ", shown.has_fea ? [to("query", "ask a query"), ", or ", to("overview?fill", "go to its fill")] : to("table", "import rows")]);
+    put(shown.covered, shown.about.pending_rows ? `${beingBuilt(shown.about.pending_rows)} …` : ["empty table: ", shown.has_fea ? [to("query", "ask a query"), ", or ", to("overview?fill", "fill it")] : to("table", "import rows")]);
     return;
   }
   try {

@@ -849,10 +849,16 @@ def test_an_empty_table_in_the_library_links_to_its_query_and_its_fill(browser, 
     browser.until(lambda: "empty table" in card.text)
     links = {a.text: a.get_attribute("hash") for a in card.find_elements("tag name", "a")}
     assert links["ask a query"] == "#/c/plate_ccx/query"
-    assert links["fill it"] == "#/c/plate_ccx/overview"
+    assert links["fill it"] == "#/c/plate_ccx/overview?fill"
     card.find_element("link text", "ask a query").click()
     browser.named("h1", "plate_ccx")
     browser.one("input[name='fx']")
+
+
+def test_the_link_of_a_fill_leads_to_its_button(browser, client):
+    browser.visit("#/c/plate_ccx/rows")
+    browser.click("main a", "Go to Fill the table")
+    browser.until(lambda: browser.run("return document.activeElement?.id === 'fill'"))
 
 
 def test_a_gap_of_the_coverage_leads_to_its_query(browser, plate):
