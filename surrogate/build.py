@@ -84,7 +84,7 @@ def choose(
         if np.isnan(error):
             reason = "too few rows to show its error at left-out rows; solve or import more"
             return MethodChoice("kriging", reason, {})
-        reason = f"predicts left-out rows within {100 * error:.2g} % of the range"
+        reason = f"predicts left-out rows within {max(100 * error, 1e-3):.2g} % of the range"
         return MethodChoice("kriging", reason, {"kriging": error})
     if not has_axes:
         reason = "too few rows for kriging: a fitted compliance answers; solve or import more rows"

@@ -50,11 +50,24 @@ static void reason_beyond(const wb_table *t, const double *w, wb_result *a) {
     }
 }
 
-/* The answer of the kriging, outside where an input is beyond the load range. */
+/* The first load that no row varies and that differs from its value in the rows, or -1. */
+static int unvaried_load(const wb_table *t, const wb_group *g, const double *w) {
+    const wb_kriging *k = &g->kriging;
+    for (int a = 0; a < t->inputs; a++) {
+        double at = (w[a] - k->centre[a]) * k->rate[a];
+        int spanned = k->span[a] <= at && at <= k->span[t->inputs + a];
+        if (!g->fit.known[a] && !spanned) return a;
+    }
+    return -1;
+}
+
+/* The answer of the kriging, outside where an input is beyond the load range or no row varies it. */
 static void by_kriging(const wb_table *t, const wb_group *g, wb_work *work, const double *w,
                        wb_result *a) {
     wb_kriging_values(t, &g->kriging, work, w, a->outputs, a->error);
-    a->coverage = wb_is_beyond(t, w) ? WB_OUTSIDE : WB_COVERED;
+    int unknown = unvaried_load(t, g, w);
+    a->coverage = unknown >= 0 || wb_is_beyond(t, w) ? WB_OUTSIDE : WB_COVERED;
+    if (unknown >= 0) wb_add_reason(a, WB_REASON_UNKNOWN_LOAD)->index = unknown;
     reason_beyond(t, w, a);
 }
 

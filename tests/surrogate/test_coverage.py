@@ -50,8 +50,8 @@ def test_a_load_that_no_row_varies_is_outside_and_says_what_the_rows_hold() -> N
         in surrogate.answer([0, 5.0, 0, 0, 0, 0], method="griddata").reason
     )
     by_default = surrogate.answer([10.0, 0, 0, 0, 3.0, 0])
-    assert by_default.coverage == "thin"
-    assert "my = 3 N·m is beyond the rows that show errors" in by_default.reason
+    assert by_default.coverage == "outside"
+    assert by_default.reason == "no row shows the influence of my; solve or import one"
 
 
 def test_an_empty_table_knows_nothing_and_says_so() -> None:

@@ -84,8 +84,9 @@ export function trouble(error) {
   // Browsers name a script that cannot be fetched differently.
   if (error instanceof Problem ? error.status === 0 : /module|Failed to fetch|could not be loaded/.test(error.message)) {
     window.dispatchEvent(new Event("no-connection"));
-    return note("outside", el("strong", {}, "No connection"), el("span", {}, "The server does not answer. Start it again, or check the network."), el("div", {}, el("button", { type: "button", onclick: () => location.reload() }, "Retry")));
+    return note("outside lost", el("strong", {}, "No connection"), el("span", {}, "The server does not answer. Start it again, or check the network. The view is shown when it answers."), el("div", {}, el("button", { type: "button", onclick: () => location.reload() }, "Retry")));
   }
+  if (error.status === 401) return note("outside", el("strong", {}, "A key is needed"), el("span", {}, key() ? "The server refuses the key of this tab." : "The server answers only with a key. Its operator has one."), el("div", {}, el("button", { type: "button", onclick: () => window.dispatchEvent(new Event("key-wanted")) }, "Enter a key")));
   const title = error instanceof Problem ? error.body.title : "Error in the page";
   const mistakes = error.body?.errors || [];
   // A message that contains all mistakes is cut where their list begins; views list what a call would.

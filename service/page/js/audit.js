@@ -6,6 +6,7 @@ import { actorOf, sentence, time } from "./format.js";
 import { kindWords } from "./job_list.js";
 
 const SHOWN = 50;
+const HEADS = ["Time", "Actor", "Action", "Component", "Object", "Before and after"];
 // Each action the service writes, by its object.
 const ACTIONS = {
   job: ["accept", "fail", "cancel", "retry", "reopen", "priority"], row: ["solve", "insert", "rewrite", "withdraw", "restore"],
@@ -28,7 +29,7 @@ export async function show(root, _, signal) {
     if (fresh) put(body);
     for (const one of page.entries) {
       const cells = [time(one.time, { second: "2-digit" }), actorOf(one.actor) || "–", actionOf(one.action), one.component ? el("a", { href: `#/c/${encodeURIComponent(one.component)}` }, one.component) : "", objectOf(one)];
-      body.append(el("tr", { id: `entry-${one.id}` }, cells.map((text) => el("td", {}, text)), el("td", { class: "small whole" }, states(one))));
+      body.append(el("tr", { id: `entry-${one.id}` }, cells.map((text, k) => el("td", { "data-head": HEADS[k] }, text)), el("td", { class: "small whole" }, states(one))));
     }
     next = page.next;
     older.hidden = !next;
@@ -42,7 +43,7 @@ export async function show(root, _, signal) {
     inputs.map((input) => field(sentence(input.name), input)), el("div", {}, el("button", {}, "Show")));
   await fresh();
   put(root, el("div", { class: "head" }, el("div", {}, el("h1", {}, "Audit"), el("p", { class: "muted" }, "All writes to this server with their actors, newest first."))), el("section", { class: "card" }, form,
-    el("table", { class: "folds audit" }, el("thead", {}, el("tr", {}, ["Time", "Actor", "Action", "Component", "Object", "Before and after"].map((one) => el("th", { scope: "col" }, one)))), body), older));
+    el("div", { class: "wide", tabindex: "0" }, el("table", { class: "folds audit" }, el("thead", {}, el("tr", {}, HEADS.map((one) => el("th", { scope: "col" }, one)))), body)), older));
 }
 
 const DONE = { accept: "accepted", add: "added", append: "appended", cancel: "cancelled", clear: "cleared", edit: "edited", fail: "failed", forget: "forgotten", insert: "added", load: "loaded", make: "begun", priority: "priority changed", reopen: "reopened", remove: "removed", restore: "restored", retry: "retried", revoke: "revoked", rewrite: "rewritten", rotate: "rotated", solve: "solved", store: "stored", withdraw: "withdrawn" };

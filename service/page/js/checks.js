@@ -22,7 +22,7 @@ const CHECKS = {
     const six = Object.values(displacement);
     return `largest displacement u\u00a0${triple(six.slice(0, 3), "m")}, r\u00a0${triple(six.slice(3, 6), "rad")}${also(reason)}`;
   }],
-  symmetric: ["The compliance is symmetric (Maxwell, Betti)", (check) => `asymmetry ${percent(check.asymmetry)}, allowed ${percent(check.allowed)}${also(check.reason)}${check.asymmetry_of_solves == null ? "" : `; of the tangents of solves ${number(check.asymmetry_of_solves, 2)}, allowed ${number(check.allowed_of_solves, 2)}`}`],
+  symmetric: ["The compliance is symmetric (Maxwell, Betti)", (check) => `asymmetry ${percent(check.asymmetry)}, allowed ${percent(check.allowed)}${also(check.reason)}${check.asymmetry_of_solves == null ? "" : `; of the tangents of solves ${number(check.asymmetry_of_solves, 2)}, allowed ${number(check.allowed_of_solves, 2)}`}; the largest entries decide it, small ones may differ more`],
   positive: ["Loads do positive work", (check) => `smallest eigenvalue over largest ${number(check.smallest_over_largest_eigenvalue, 3)}${isOfFit(check) ? ", within the asymmetry of the fit: the rows do not determine its sign yet" : ""}`],
   linear: ["The response is linear (one 6 × 6 compliance)", ({ says, reason }) => says || reason],
   work: ["Work does not decrease from row to row", (check) => `pairs of rows that lose work: ${count(check.pairs_that_give_work_back ?? 0)}`],
@@ -95,7 +95,7 @@ function entryOf(values, unit) {
 
 function checks(reply, about) {
   if (!reply.rows_checked) return el("p", { class: "muted" }, "There are no rows with all six outputs to check.");
-  const lines = Object.entries(reply.checks).map(([name, check]) => {
+  const lines = Object.entries(reply.checks).filter(([name]) => name !== "symmetric" || reply.known_loads.length > 1).map(([name, check]) => {
     const [title, textOf] = CHECKS[name] || [name, () => ""];
     const verdict = check.ok === null || isOfFit(check) ? pill("not known yet", "") : check.ok ? pill("holds", "ok") : pill(...(FAILED[name] || ["broken", "wrong"]));
     const rows = check.rows?.length && name !== "linear" ? el("span", { class: "muted small" }, rowLinks(about.name, check.rows, 12), check.rows.length > 12 ? " …" : "") : null;

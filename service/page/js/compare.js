@@ -3,7 +3,7 @@
 import { get, of, send, trouble } from "./api.js";
 import { choice, el, field, put, save, select, table, working } from "./dom.js";
 import { empty, emptyTable, linkTo } from "./empty.js";
-import { LOADS, OUTPUTS, count, counted, number, plain, prefixOf, quantity, rounded, symbol, unitOfLoad, unitOfOutput, withBar } from "./format.js";
+import { LOADS, OUTPUTS, count, counted, largestOf, marked, number, plain, prefixOf, rounded, symbol, unitOfLoad, unitOfOutput, withBar } from "./format.js";
 import { draw, faint } from "./plot.js";
 
 const PLOTS = ["over-load", "over-order", "over-expected"];
@@ -22,7 +22,7 @@ export async function show(root, about, signal) {
   const state = { number: "", against: about.solved || !names.length ? "" : names.at(-1)[0], load: "fz", output: "uz", reply: null, drawings: [] };
   if (!about.solved) state.number = names[0][0];
   const places = PLOTS.map((id) => el("div", { class: "plot low", id }));
-  const facts = el("div", { class: "stack", "aria-live": "polite" }), axes = el("div", { class: "line bottom" });
+  const facts = el("div", { class: "stack", "aria-live": "polite" }), below = el("div"), axes = el("div", { class: "line bottom" });
   const query = () => new URLSearchParams(Object.entries({ import: state.number, against: state.against }).filter(([, value]) => value));
   const again = () => state.drawings.forEach((one, k) => { one.again(); places[k].setAttribute("aria-label", label(state, k)); });
   let latest = null;
@@ -30,6 +30,7 @@ export async function show(root, about, signal) {
     const asked = latest = String(query());
     put(facts, working("The rows are compared …"));
     put(axes);
+    put(below);
     [...places, marks, saved].forEach((one) => { one.hidden = true; });
     try {
       const reply = await get(`${of(about.name)}/comparison?${asked}`, signal);
@@ -41,9 +42,11 @@ export async function show(root, about, signal) {
       if (!first[1].includes(state.load)) [state.load] = first[1];
       const bar = (kind, text, list) => choice(kind, text, list.map((name) => [name, symbol(name)]), state[kind], (value) => { state[kind] = value; again(); });
       put(axes, state.reply.reason ? null : [bar("output", "Output", first[0]), bar("load", "Over", first[1])]);
-      put(facts, words(state.reply, about), state.reply.reason ? null : factors(state.reply));
+      put(facts, words(state.reply, about));
       [...places, marks, saved].forEach((one) => { one.hidden = Boolean(state.reply.reason); });
       if (state.reply.reason) return;
+      put(marks, key(state.reply));
+      put(below, factors(state.reply));
       if (!state.drawings.length) for (const [k, place] of places.entries()) state.drawings.push(await draw(place, (shade) => picture(state, k, shade), signal, label(state, k)));
       again();
     } catch (error) {
@@ -58,14 +61,14 @@ export async function show(root, about, signal) {
       save(await (await send("GET", `${of(about.name)}/comparison?${asked}`)).blob(), `${about.name}-comparison.csv`);
     } catch (error) { put(facts, trouble(error)); }
   };
-  const marks = key(), saved = el("div", {}, el("button", { type: "button", onclick: take }, "Rows as CSV"));
+  const marks = el("ul", { class: "key-of-marks" }), saved = el("div", {}, el("button", { type: "button", onclick: take }, "Rows as CSV"));
   const chosen = (kind, none) => select([...none, ...names], state[kind], (value) => { state[kind] = value; load(); });
   const compared = chosen("number", [["", "All measured rows"]]), reference = chosen("against", about.solved ? [["", "The solves alone"]] : []);
   compared.id = "compared";
   reference.id = "reference";
   put(root, el("section", { class: "card stack" },
     el("div", { class: "few" }, field("Measured", compared), field("Reference", reference)),
-    facts, axes, places, marks, saved));
+    facts, axes, places, marks, below, saved));
   await load();
 }
 
@@ -98,18 +101,19 @@ function words(reply, about) {
 }
 
 function factors(reply) {
-  const lines = [];
-  for (const part of [{ import: "all", outputs: reply.outputs }, ...(reply.campaigns.length > 1 ? reply.campaigns : [])]) {
+  const lines = [], several = reply.campaigns.length > 1;
+  for (const part of [{ import: "all", outputs: reply.outputs }, ...(several ? reply.campaigns : [])]) {
+    const sizes = Object.fromEntries(["u", "r"].map((kind) => [kind, largestOf(Object.entries(part.outputs).filter(([name]) => name[0] === kind).flatMap(([, one]) => [one.mean, one.rms]))]));
     for (const [name, one] of Object.entries(part.outputs)) {
       if (!one.compared) continue;
       const sure = one.half_width !== null && one.half_width < Math.abs(one.factor);
-      const factor = rounded(one.factor ?? 0, one.half_width), spread = withBar(one.mean, one.rms, unitOfOutput(name));
-      lines.push([part.import === null ? "none" : String(part.import), symbol(name),
-        one.half_width === null ? number(one.factor, 5) : sure ? factor.value : "not determined", one.half_width === null ? "unknown" : `± ${factor.bar}`, one.of_reference === null ? "unknown" : `± ${number(one.of_reference, 2)}`,
-        spread.value, one.rms ? spread.bar.replace("± ", "") : quantity(0, unitOfOutput(name)), `${count(one.beyond_bars)} of ${count(one.compared)}`]);
+      const factor = rounded(one.factor ?? 0, one.half_width), spread = withBar(one.mean, one.rms, unitOfOutput(name), sizes[name[0]]);
+      lines.push([...(several ? [part.import === null ? "none" : String(part.import)] : []), symbol(name),
+        one.half_width === null ? number(one.factor, 5) : sure ? factor.value : "not determined", one.half_width === null ? "unknown" : sure ? `± ${factor.bar}` : "–", one.of_reference === null ? "unknown" : sure ? `± ${number(one.of_reference, 2)}` : "–",
+        spread.value, one.rms ? spread.bar.replace("± ", "") : spread.value, `${count(one.beyond_bars)} of ${count(one.compared)}`]);
     }
   }
-  return table(["Import", "Output", "#Measured / reference", "#95 % bound", "#Part from the reference", "#Mean residual", "#RMS residual", "#Beyond the bars"], lines, { scrolls: true, class: "folds named" });
+  return table([...(several ? ["Import"] : []), "Output", "#Measured / reference", "#95 % bound", "#Part from the reference", "#Mean residual", "#RMS residual", "#Beyond the bars"], lines, { scrolls: true, class: "folds named" });
 }
 
 function label({ reply, output, load }, k) {
@@ -135,16 +139,18 @@ function picture({ reply, output, load }, k, shade) {
     const pick = (list) => some.map((place) => list[place]);
     data.push({
       x: pick(x), y: scaled(pick(values)), customdata: pick(reply.row), mode: "markers",
-      marker: { color: colours[n % colours.length], size: 5, symbol: pick(reply.coverage).map((one) => (one === "covered" ? "circle" : "circle-open")) },
+      marker: { color: colours[n % colours.length], size: 7, symbol: pick(reply.coverage).map((one) => (one === "covered" ? "circle" : "circle-open")) },
       name: part.import === null ? "no import" : `import ${part.import}`, hovertemplate: `row %{customdata}: %{y:.4~g} ${unit}<extra></extra>`,
     });
   }
-  const title = [`${plain(load)}, ${unitOfLoad(load)}`, "row, in the order of the table", `${plain(output)} of the reference, ${unit}`][k];
+  const title = [`${marked(load)}, ${unitOfLoad(load)}`, "row, in the order of the table", `${marked(output)} of the reference, ${unit}`][k];
   return { data, layout: {
-    xaxis: { title: { text: title } }, yaxis: { title: { text: `${k === 2 ? "measured" : "residual of"} ${plain(output)}, ${unit}` } },
+    xaxis: { title: { text: title }, ...(k === 1 ? { tick0: 0, dtick: Math.max(1, Math.ceil((x.at(-1) - x[0]) / MOST_TICKS)) } : {}) }, yaxis: { title: { text: `${k === 2 ? "measured" : "residual of"} ${marked(output)}, ${unit}` } },
     showlegend: reply.campaigns.length > 1, legend: { orientation: "h", y: 1.12 }, margin: { l: 60, r: 12, t: 24, b: 44 },
   } };
 }
+
+const MOST_TICKS = 8; // of the rows
 
 // The reference's own bar about no difference, in the order of x.
 function band(x, bars, shade) {
@@ -155,8 +161,9 @@ function band(x, bars, shade) {
   };
 }
 
-function key() {
-  const mark = el("i", { class: "square" });
-  mark.style.background = "color-mix(in srgb, var(--query) 20%, var(--card))";
-  return el("ul", { class: "key-of-marks" }, el("li", {}, mark, "the reference's own 95 % bar"), el("li", {}, "open circles: thin rows of the reference"), el("li", {}, "lines: equal (dotted), and the fitted factor"));
+// The key of what is drawn, and of nothing else.
+function key(reply) {
+  const mark = (kind, text) => el("li", {}, el("i", { class: kind }), text);
+  return [mark("square band", "95 % error bar of the reference"), reply.coverages.thin ? mark("hollow", "row where the reference is thin") : null,
+    mark("rule dotted", "measured equals reference"), mark("rule", "fitted factor: measured over reference")];
 }

@@ -3,6 +3,7 @@
 import { get, listed, of } from "./api.js";
 import { el, note, pill, put } from "./dom.js";
 import { listenToTable } from "./events.js";
+import { titleOf } from "./format.js";
 import { trouble } from "./api.js";
 
 const BUILDING_MS = 3000; // between tries of a table that is being built
@@ -45,7 +46,7 @@ export async function show(root, [name, tab = "overview", query], signal) {
       el("div", {},
         el("span", { class: "crumb" }, el("a", { href: "#/" }, "Library"), " /"),
         el("h1", {}, name),
-        el("p", { class: "muted" }, about.title)),
+        titleOf(about) ? el("p", { class: "muted" }, titleOf(about)) : null),
       el("div", { class: "line" }, awayPill(about.archived), pill(about.has_fea ? (about.linear ? "finite elements, linear" : "finite elements") : "measured", ""))),
     tabs(name, chosenTab, there),
     absent ? note("", `This component has no view ${absent[1]}: it needs ${about.space ? "a component with one interface and no further inputs" : absent[4] === "mesh" ? "a mesh" : "finite elements"}. The overview is shown.`) : null,

@@ -66,7 +66,7 @@ function marks(about, rows, latest) {
   const kinds = [
     [rows.clean.some(Boolean), "", "accent", "row with loads of this axis only"], [!rows.clean.every(Boolean), "hollow", "card", "row with other loads too"],
     [has(1), "square", "thin", "loads that are thin"], [has(2), "hollow diamond", "card", "loads outside the rows"],
-    [true, "hollow square", "card", "frame: the load range"], [rows.of > 3 && rows.inputs.every((load) => loadsOf(about).includes(load)), "square pale", "accent", "convex hull of the rows"],
+    [true, "hollow square", "card", "frame: the load range"], [rows.of > 3 && spans(rows) === rows.inputs.length && rows.inputs.every((load) => loadsOf(about).includes(load)), "square pale", "accent", "convex hull of the rows"],
     [latest.some((one) => isNear(about, one)), "diamond", "query", "latest queries, within twice the load range"],
   ];
   return el("ul", { class: "key-of-marks" }, kinds.filter(([drawn]) => drawn).map(([, kind, colour, text]) => {
@@ -75,6 +75,9 @@ function marks(about, rows, latest) {
     return el("li", {}, mark, text);
   }));
 }
+
+// The number of loads that vary in the rows.
+const spans = (rows) => rows.inputs.filter((load) => new Set(rows.wrench.map((one) => one[LOADS.indexOf(load)])).size > 1).length;
 
 function picture(about, rows, gap, latest, shade, camera) {
   const columns = rows.inputs.map((load) => LOADS.indexOf(load));
@@ -114,7 +117,7 @@ function holds(rows, summary) {
   if (!summary) return el("p", {}, "The table's compliance answers: all loads are covered by six unit solves, whatever the rows.");
   const lines = Object.entries(summary.spans).map(([load, [low, high]]) => [symbol(load), number(low), number(high), unitOfLoad(load)]);
   return [
-    el("p", {}, `Rows at ${counted(summary.rows, "load")}, ${summary.corrected ? (summary.corrected === summary.rows ? "all" : count(summary.corrected)) : "none"} of them with loads of other axes too, span ${counted(summary.dimensions ?? 0, "dimension")}. Their convex hull encloses ${percent(summary.part_of_range)} of the range; kriging covers loads beyond it where its error is known and within the tolerance.`),
+    el("p", {}, `Rows at ${counted(summary.rows, "load")}, ${summary.corrected ? (summary.corrected === summary.rows ? "all" : count(summary.corrected)) : "none"} of them with loads of other axes too, span ${counted(summary.dimensions ?? 0, "dimension")}.${(summary.dimensions ?? 0) < rows.inputs.length ? "" : ` Their convex hull encloses ${percent(summary.part_of_range)} of the range.`} Kriging covers loads beyond it where its error is known and within the tolerance.`),
     lines.length ? table(["Load", "#from", "#to", "unit"], lines) : null,
   ];
 }

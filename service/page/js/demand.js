@@ -76,14 +76,21 @@ const OUTERMOST = 10; // cells from zero; that cell counts all queries farther a
 
 const share = (times) => (times ? count(times) : "–");
 
+// A load of a cell as the interval that the cell counts; the cell of zero load as 0.
+function interval(value, size) {
+  if (!value) return "0";
+  const near = Math.abs(value) - size / 2, far = near + size, side = value < 0 ? -1 : 1;
+  if (near > (OUTERMOST - 1) * size) return `${side < 0 ? "≤" : "≥"} ${number(side * near, 3)}`;
+  return (side < 0 ? [far, near] : [near, far]).map((end) => number(side * end, 3)).join(" to ");
+}
+
 function most(reply) {
-  const isOutermost = (value, place) => value !== 0 && Math.abs(value) > (OUTERMOST - 0.5) * reply.cell_size[place];
-  const rounded = (value, place) => `${isOutermost(value, place) ? (value > 0 ? "≥ " : "≤ ") : ""}${number(value, 3)}`;
+  const rounded = (value, place) => interval(value, reply.cell_size[place]);
   const lines = [...reply.cells].sort((a, b) => b.count - a.count).slice(0, 15)
     .map((one) => [share(one.thin), share(one.outside), el("span", { class: "small" }, wrench(one.wrench.slice(0, 3), one.wrench.slice(3), 3, rounded))]);
   const half = reply.cell_size.map((one) => one / 2);
   return [
-    table(["#thin", "#outside", "loads, rounded"], lines, { scrolls: true }),
-    el("p", { class: "muted small" }, `Loads that are close are counted together: ±\u00a0${wrench(half.slice(0, 3), half.slice(3))}. Loads with ≥ or ≤ count with all that are farther out.${reply.elsewhere ? ` ${count(reply.elsewhere)} more were asked elsewhere.` : ""}`),
+    table(["#thin", "#outside", "loads"], lines, { scrolls: true }),
+    el("p", { class: "muted small" }, `Loads of one interval are counted together; 0 stands for ±\u00a0${wrench(half.slice(0, 3), half.slice(3))}. The picture has a mark at the middle of each interval. ≥ and ≤ count all that are farther out.${reply.elsewhere ? ` ${count(reply.elsewhere)} more were asked elsewhere.` : ""}`),
   ];
 }

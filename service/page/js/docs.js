@@ -1,14 +1,11 @@
 // The calls, shown by Swagger UI from this server alone.
 
-// The colours of the page; Swagger UI has light ones alone.
-const theme = localStorage.getItem("wrenchbook-theme") || "auto";
+import "./theme.js";
+
+// Swagger UI has light colours alone.
 const system = matchMedia("(prefers-color-scheme: dark)");
-const paint = () => {
-  const dark = theme === "dark" || (theme === "auto" && system.matches);
-  document.documentElement.classList.toggle("dark", dark);
-  document.documentElement.style.colorScheme = dark ? "dark" : "light";
-};
-system.addEventListener("change", paint);
+const paint = () => document.documentElement.classList.toggle("dark", document.documentElement.style.colorScheme === "dark" || (document.documentElement.style.colorScheme !== "light" && system.matches));
+window.addEventListener("theme", paint);
 paint();
 
 const rank = (tag) => (tag === "displacement" ? 0 : tag === "umbridge" ? 2 : 1); // the main call first

@@ -6,7 +6,7 @@ import { count } from "./format.js";
 // `what` is why the view is empty.
 export function emptyTable(about, what = "The table has no rows yet.") {
   if (about.pending_rows) return empty(`${beingBuilt(about.pending_rows)}: the table answers from them soon.`);
-  return empty(what, about.has_fea ? linkTo(about, "overview", "Fill the table") : linkTo(about, "table", "Import rows"));
+  return empty(what, about.has_fea ? linkTo(about, "overview?fill", "Go to Fill the table") : linkTo(about, "table", "Import rows"));
 }
 
 export const beingBuilt = (rows) => (rows === 1 ? "1 row is being built" : `${count(rows)} rows are being built`);

@@ -14,6 +14,7 @@ export function symbol(name) {
   return made;
 }
 
+export const marked = (name) => `${plain(name)[0]}<sub>${name[1]}</sub>`; // in a plot
 export const plain = (name) => (/[fm]/.test(name[0]) ? name[0].toUpperCase() : name[0]) + name[1];
 
 const PREFIXES = [[1, ""], [1e-3, "m"], [1e-6, "µ"], [1e-9, "n"], [1e-12, "p"]];
@@ -40,11 +41,14 @@ export function scientific(value, digits) {
 const POWERS = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
 export const superscript = (power) => [...String(power)].map((one) => POWERS[one]).join("");
 
+// The title of a component, if it says more than its name.
+export const titleOf = ({ name, title }) => (title === name ? "" : title.replaceAll(/(?<=\d)x(?=\d)/g, " × "));
+
 // Loads as the fields have them: Fz in place of fz.
 const named = (text) => text.replaceAll(/(?:\b(\w+)\.)?\b([fm][xyz])\b/g, (_, at, name) => (at ? `${at} ` : "") + plain(name));
 
 // A text of the server as a sentence: a capital letter, but of a key; µm in place of 1e-06 m and mrad in place of 0.0012 rad, other powers of ten as such.
-export const sentence = (text) => (/^\w+\.\w/.test(text) ? text[0] : text[0].toUpperCase()) + named(text.slice(1)).replaceAll("m/s^2", "m/s²").replaceAll(/(\d)%/g, "$1 %").replaceAll(/(-?[\d.e+]+)\.\.(?=-?\d)/g, "$1 to ").replaceAll(/(?<![\w.])-?\d+\.\d{5,}(?![\w.])/g, (value) => number(Number(value))).replaceAll(/(?<![\w.])-(?=\d)/g, "\u2212").replaceAll(/(\d(?:\.\d+)?e[+-]\d+|\b0\.0\d+) (m|rad|Pa)\b(?!\/)/g, (_, value, unit) => quantity(Number(value), unit)).replaceAll(/(\d)e([+-]\d+)/g, (_, digit, power) => `${digit}·10` + superscript(Number(power)));
+export const sentence = (text) => (/^\w+\.\w/.test(text) ? text[0] : text[0].toUpperCase()) + named(text.slice(1)).replaceAll("m/s^2", "m/s²").replaceAll(/(?<=\d) ?x ?(?=[1-9])/g, " × ").replaceAll(/(\d)%/g, "$1 %").replaceAll(/(-?[\d.e+]+)\.\.(?=-?\d)/g, "$1 to ").replaceAll(/(?<![\w.])-?\d+\.\d{5,}(?![\w.])/g, (value) => number(Number(value))).replaceAll(/(?<![\w.])-(?=\d)/g, "\u2212").replaceAll(/(\d(?:\.\d+)?e[+-]\d+|\b0\.0\d+) (m|rad|Pa)\b(?!\/)/g, (_, value, unit) => quantity(Number(value), unit)).replaceAll(/(\d)e([+-]\d+)/g, (_, digit, power) => `${digit}·10` + superscript(Number(power)));
 
 // A text of the server without the options of commands.
 export const pageWords = (text) => sentence(text.replaceAll(/ \(--[^)]*\)/g, ""));
@@ -52,11 +56,11 @@ export const pageWords = (text) => sentence(text.replaceAll(/ \(--[^)]*\)/g, "")
 const placeOf = (value) => (value ? Math.floor(Math.log10(Math.abs(value))) : 0);
 const MOST_DIGITS = 7;
 
-// A value rounded to the last digit of its bar, which has two digits; without a bar three digits.
-export function rounded(value, bar) {
+// A value rounded to the last digit of its bar, which has two digits; without a bar three digits. No digit is below 10^least, and the bar is rounded up there.
+export function rounded(value, bar, least = -Infinity) {
   const known = bar > 0, size = placeOf(value), fits = known ? placeOf(Number(bar.toPrecision(2))) - 1 : size - 2;
-  const last = Math.max(fits, size - MOST_DIGITS + 1), text = (one) => (Math.round(one / 10 ** last) * 10 ** last).toFixed(Math.max(0, -last));
-  return { value: minus(text(value).replace(/^-(0(\.0*)?)$/, "$1")), bar: known && fits === last ? text(bar) : number(bar, 2) };
+  const last = Math.max(fits, size - MOST_DIGITS + 1, least), text = (one) => (Math.round(one / 10 ** last) * 10 ** last).toFixed(Math.max(0, -last));
+  return { value: minus(text(value).replace(/^-(0(\.0*)?)$/, "$1")), bar: known && fits === last ? text(bar) : last === least && known ? text(Math.ceil(bar / 10 ** last) * 10 ** last) : number(bar, 2) };
 }
 
 // Values of one kind with 0 for the round-off of a solver.
@@ -65,12 +69,17 @@ export function withoutRoundOff(values) {
   return values.map((one) => (one !== null && Math.abs(one) < least ? 0 : one));
 }
 
-// A value and its bar in one unit.
-export function withBar(value, bar, unit) {
+// The largest size of some values, for the unit of them all.
+export const largestOf = (values) => values.reduce((most, one) => Math.max(most, Math.abs(one ?? 0)), 0);
+
+const BELOW = 4; // digits below the first one of a column's largest number
+
+// A value and its bar in one unit: that of the largest of a column, `size`, else of the larger of both.
+export function withBar(value, bar, unit, size = 0) {
+  const [scale, prefix] = prefixOf(size || largestOf([value, bar])), unknown = bar === null || bar === undefined;
   if (value === null || value === undefined) return { value: "–", bar: "–" };
-  if (value === 0 && !bar) return { value: `0 ${unit}`, bar: bar === 0 ? "± 0" : "–" };
-  const [scale, prefix] = prefixOf(Math.max(Math.abs(value), bar ?? 0)), unknown = bar === null || bar === undefined;
-  const shown = rounded(value / scale, unknown ? 0 : bar / scale);
+  if (value === 0 && !bar) return { value: `0 ${prefix}${unit}`, bar: bar === 0 ? "± 0" : "–" };
+  const shown = rounded(value / scale, unknown ? 0 : bar / scale, size ? placeOf(size / scale) - BELOW : -Infinity);
   return { value: `${shown.value} ${prefix}${unit}`, bar: unknown ? "–" : `± ${shown.bar} ${prefix}${unit}` };
 }
 
@@ -80,11 +89,20 @@ export function quantity(value, unit, digits = 3) {
   return `${number(value / scale, digits)}\u00a0${prefix}${unit}`; // no line breaks before a unit
 }
 
-// Three values with one prefix: (1.2, 0, −3.4) µm.
-export function triple(values, unit) {
-  const sizes = withoutRoundOff(values), [scale, prefix] = prefixOf(Math.max(...sizes.map((one) => Math.abs(one ?? 0))));
-  return `(${sizes.map((one) => (one === null ? "–" : number(one / scale))).join(",\u00a0")})\u00a0${prefix}${unit}`;
+// Texts of numbers as a column: right-aligned ones have their points below each other.
+export function aligned(texts) {
+  const parts = texts.map((text) => text.match(/^((?:± )?\u2212?\d+)(\.\d+)?( .*)?$/)), after = parts.map((part) => part?.[2]?.length ?? 0), most = Math.max(...after);
+  const space = (n, has) => (has || !n ? "" : "\u2008") + "\u2007".repeat(Math.max(0, has ? n : n - 1)); // as wide as a point, and as digits
+  return texts.map((text, k) => (parts[k] ? `${parts[k][1]}${parts[k][2] ?? ""}${space(most - after[k], after[k])}${parts[k][3] ?? ""}` : text));
 }
+
+// Three values with one prefix: (1.2, 0, −3.4) µm; the prefix is that of a `size`, else of the largest.
+export function triple(values, unit, size = largestOf(values)) {
+  const sizes = withoutRoundOff(values), [scale, prefix] = prefixOf(size), least = NEGLIGIBLE * largestOf(values);
+  return `(${sizes.map((one) => (one === null ? "–" : one && Math.abs(one) < least ? "≈\u00a00" : number(one / scale))).join(",\u00a0")})\u00a0${prefix}${unit}`;
+}
+
+const NEGLIGIBLE = 1e-4; // of the largest of three values: number() would need a power of ten
 
 export function stress(value, digits = value >= 1e6 ? 4 : 3) {
   if (value === null || value === undefined) return "–";

@@ -19,6 +19,9 @@ export function importForm(about, signal) {
   const take = async (file) => {
     if (!file) return;
     state.file = file;
+    const dropped = new DataTransfer();
+    dropped.items.add(file);
+    input.files = dropped.files; // the field names a dropped file too
     state.options.columns.forget();
     const text = await readText(file);
     state.text = isLines(text) ? text : null;
@@ -76,7 +79,7 @@ async function check(state) {
 function ready(state, result) {
   return [
     note("covered", el("strong", {}, `${state.file.name}: ${counted(result.rows.read, "row")} read without mistakes.`), tallies(result)),
-    ...findings(state, result.findings), preview(result), state.options.columns.draw(result), beyondRange(result), el("div", { class: "line" }, importButton(state, result), again(state)),
+    ...findings(state, result.findings), preview(state, result), state.options.columns.draw(result), beyondRange(result), el("div", { class: "line" }, importButton(state, result), again(state)),
   ];
 }
 
@@ -100,7 +103,7 @@ function tallies(result) {
   const { read, refused, tare, unmatched, skipped, branch, averaged } = result.rows;
   const part = (rows, text) => (rows ? `, ${count(rows)} ${text}` : "");
   return [
-    el("span", {}, `${count(result.inserted)} new rows${part(result.existing, "are in the table already")}${part(result.restored, "of them restored")}; ${count(read)} read${part(refused, "refused")}${part(tare, "taken as tare")}${part(unmatched, "without a load at their time")}${part(skipped, "of skipped cycles")}${part(branch, "off the branch")}${part(averaged, "in the mean of others")}.`),
+    el("span", {}, `${count(result.inserted)} new rows${part(result.existing, "are in the table already")}${part(result.restored, "of them restored")}${read === result.inserted ? "" : `; ${count(read)} read`}${part(refused, "refused")}${part(tare, "taken as tare")}${part(unmatched, "without a load at their time")}${part(skipped, "of skipped cycles")}${part(branch, "off the branch")}${part(averaged, "in the mean of others")}.`),
     result.clock ? el("span", {}, `Clocks: ${number(result.clock.applied_s)} s added to the times of the displacements; ${result.clock.lag_s === null ? "the logs do not show a lag" : `the logs show ${number(result.clock.lag_s)} ± ${number(result.clock.uncertainty_s, 1)} s`}.`) : null,
     result.ignored?.length ? el("span", {}, `Columns left out: ${result.ignored.join(", ")}.`) : null,
     result.sheets?.length > 1 ? el("span", {}, `Sheet ${result.sheet} was read, of ${result.sheets.join(", ")}.`) : null,
@@ -115,13 +118,14 @@ function findings(state, list, importId) {
   });
 }
 
-function preview(result) {
+function preview(state, result) {
   if (!result.preview?.length) return null;
+  const correct = result.inserted + result.existing;
   const inFile = new Map((result.columns || []).map(({ name, unit }) => [name.replace("-", ""), unit?.replace("*", "·").replace("um", "µm")]));
   const headOf = (name, text, unit) => `#${text}, ${unit}${inFile.get(name) && inFile.get(name) !== unit ? ` (file: ${inFile.get(name)})` : ""}`;
-  const head = ["#row", ...LOADS.map((load) => headOf(load, plain(load), unitOfLoad(load))), ...OUTPUTS.map((output) => headOf(output, output, unitOfOutput(output)))];
+  const head = [state.text ? "#line" : "#row", ...LOADS.map((load) => headOf(load, plain(load), unitOfLoad(load))), ...OUTPUTS.map((output) => headOf(output, output, unitOfOutput(output)))];
   const lines = result.preview.map((row) => [String(row.row), ...[...row.wrench, ...row.displacement].map((value) => number(value, 5))]);
-  const shown = table(head, lines, { scrolls: true, caption: "The first correct rows, in SI" });
+  const shown = table(head, lines, { scrolls: true, caption: `${result.preview.length < correct ? `The first ${result.preview.length} of ${counted(correct, "correct row")}` : "The correct rows"}, in SI` });
   shown.id = "preview";
   return shown;
 }
@@ -161,7 +165,7 @@ function mistakes(state, errors, result) {
     errors.some(({ message }) => message.includes(ZERO_REMEDY)) ? el("div", {}, el("button", { type: "button", class: "first", id: "zero-loads", onclick: state.options.countAsZero }, "Count missing loads as zero")) : null,
     edits.size ? null : el("p", { class: "muted" }, "Correct them in the file and drop it again, or change the options here."),
     again(state, applyEdits),
-    result.partial && result.inserted ? [preview(result), beyondRange(result), el("div", {}, importButton(state, result))] : null,
+    result.partial && result.inserted ? [preview(state, result), beyondRange(result), el("div", {}, importButton(state, result))] : null,
   ];
 }
 

@@ -36,7 +36,7 @@ export function beyondRange(about, values) {
     const slack = 1e-9 * Math.max(Math.abs(low), Math.abs(high));
     const isBeyond = value < Math.min(low, zero) - slack || value > Math.max(high, zero) + slack;
     if (!isBeyond) return [];
-    return [`${label(name)} = ${number(value)} ${unit} is outside the load range, ${number(low)} to ${number(high)} ${unit}.`];
+    return [`${label(name)} = ${number(value, 12)} ${unit} is outside the load range, ${number(low)} to ${number(high)} ${unit}.`];
   });
   return outside.join(" ");
 }

@@ -10,6 +10,7 @@ import { inputsElement } from "./inputs.js";
 import { rowLink } from "./rows.js";
 
 const SHOWN = 50; // jobs of a page
+const SECONDS = { second: "2-digit" };
 const MAX_WAITING = 1000; // waiting jobs that are put in the order of their start
 const AVERAGED = 20; // newest jobs of a component whose solve times are averaged
 
@@ -220,8 +221,8 @@ async function saveFiles(id) {
 export function jobFacts(job) {
   return [
     ["Component", el("a", { href: `#/c/${job.component}` }, job.component)], ["Actor", actorOf(job.actor)], ["Wrench", inputsElement(job)],
-    ["Attempt", job.attempt ? String(job.attempt) : ""], ["Accepted", time(job.created)], ["Started", job.started ? time(job.started) : ""],
-    ["Ended", job.finished ? time(job.finished) : ""], ["Took", job.seconds ? seconds(job.seconds) : ""], ["Row", job.row ? rowLink(job.component, job.row) : ""],
+    ["Attempt", job.attempt ? String(job.attempt) : ""], ["Accepted", time(job.created, SECONDS)], ["Started", job.started ? time(job.started, SECONDS) : ""],
+    ["Ended", job.finished ? time(job.finished, SECONDS) : ""], ["Took", job.seconds ? seconds(job.seconds) : ""], ["Row", job.row ? rowLink(job.component, job.row) : ""],
     ["Waits", job.waiting?.reason ? sentence(job.waiting.reason) : ""],
     ["Notes", job.notes?.length ? el("ul", {}, job.notes.map((text) => el("li", {}, sentence(text)))) : ""],
     ["Failed", job.error ? failure(job.error) : ""],

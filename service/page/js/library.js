@@ -4,7 +4,7 @@ import { get, listed, of } from "./api.js";
 import { el, pill, put, note } from "./dom.js";
 import { beingBuilt, empty } from "./empty.js";
 import { listen } from "./events.js";
-import { count } from "./format.js";
+import { count, titleOf } from "./format.js";
 import { paint, pictured } from "./picture.js";
 import { insideBars, reportOf } from "./report.js";
 import { wholeError } from "./shares.js";
@@ -61,7 +61,7 @@ function card(one) {
   const picture = pictured(one.name);
   const root = el("article", { class: "card library" },
     el("div", { class: "line ends" }, el("h2", {}, el("a", { href: `#/c/${encodeURIComponent(one.name)}` }, one.name)), el("span", { class: "line" }, one.archived ? pill("archived", "thin") : null, pill(kind, ""))),
-    picture, el("p", { class: "small" }, one.title),
+    picture, el("p", { class: "small" }, titleOf(one)),
     covered, rows);
   return { root, rows, covered, picture: picture.firstChild, about: one, all: one.rows, has_fea: one.has_fea };
 }
@@ -82,7 +82,7 @@ async function refresh(name, cards, signal, rows) {
   if (rows !== undefined) { shown.rows.textContent = rowsText(rows); shown.all = rows; }
   if (!shown.all) { // none, or none yet
     const to = (view, text) => el("a", { href: `#/c/${encodeURIComponent(name)}/${view}` }, text);
-    put(shown.covered, shown.about.pending_rows ? `${beingBuilt(shown.about.pending_rows)} …` : ["empty table: ", shown.has_fea ? [to("query", "ask a query"), ", or ", to("overview", "fill it")] : to("table", "import rows")]);
+    put(shown.covered, shown.about.pending_rows ? `${beingBuilt(shown.about.pending_rows)} …` : ["empty table: ", shown.has_fea ? [to("query", "ask a query"), ", or ", to("overview?fill", "fill it")] : to("table", "import rows")]);
     return;
   }
   try {

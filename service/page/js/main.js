@@ -2,6 +2,7 @@
 
 import { key, send, setKey, trouble } from "./api.js";
 import { el, note, notify, put } from "./dom.js";
+import "./theme.js";
 
 const VIEWS = [
   [/^\/$/, "library.js"],
@@ -22,7 +23,7 @@ async function show() {
   const { signal } = leaving;
   markWhereWeAre(address);
   const [file, found] = viewOf(address);
-  const back = address.startsWith("/jobs/") ? el("a", { href: "#/jobs" }, "Go to the jobs") : el("a", { href: "#/" }, "Go to the library");
+  const back = address === "/" ? "" : address.startsWith("/jobs/") ? el("a", { href: "#/jobs" }, "Go to the jobs") : el("a", { href: "#/" }, "Go to the library");
   document.title = "wrenchbook";
   if (!file) {
     put(main, el("h1", {}, "No such page"), el("p", {}, back));
@@ -53,7 +54,13 @@ function markWhereWeAre(address) {
   }
 }
 
-const noAnswer = () => Object.assign(document.getElementById("state"), { textContent: "no answer", className: "state faulty", title: "The server does not answer." });
+let retry = 0;
+function noAnswer() {
+  Object.assign(document.getElementById("state"), { textContent: "no answer", className: "state faulty", title: "The server does not answer." });
+  clearTimeout(retry);
+  retry = setTimeout(tellState, RETRY_MS);
+}
+const RETRY_MS = 2000; // between looks at a server that is away
 
 async function tellState() {
   if (document.hidden) return;
@@ -61,6 +68,7 @@ async function tellState() {
   const set = (text, kind, more = "") => { if (place.textContent !== text + more) put(place, text, el("span", { class: "detail" }, more)); place.className = `state ${kind}`; };
   try {
     const state = await (await send("GET", "health/ready", { quiet: true })).json();
+    if (document.querySelector("main .lost") && !document.querySelector("main form")) show(); // a form keeps what was typed
     if (state.building.length) set("building", "ready", ` ${state.building.join(", ")}`);
     else if (state.status === "degraded") set("degraded", "faulty", `: ${Object.keys(state.broken).join(", ")}`);
     else set("ready", "ready");
@@ -86,6 +94,7 @@ function askForKey() {
     if (key() && needed) notify("This server needs no key.");
     close();
     markKey();
+    tellState();
     return show();
   };
   const form = el("form", {
@@ -120,29 +129,8 @@ async function markAudit() {
   link.hidden = refused;
 }
 
-const THEMES = { auto: ["◐ Auto", "light dark"], light: ["○ Light", "light"], dark: ["● Dark", "dark"] };
-
-function setTheme(name) {
-  const [text, scheme] = THEMES[name] || THEMES.auto;
-  document.documentElement.style.colorScheme = scheme;
-  const button = document.getElementById("theme");
-  button.textContent = text;
-  button.title = `Colours: ${text}. Click for the next scheme.`;
-  button.setAttribute("aria-label", `Colours: ${text}`);
-  window.dispatchEvent(new Event("theme"));
-}
-
-function nextTheme() {
-  const names = Object.keys(THEMES);
-  const now = localStorage.getItem("wrenchbook-theme") || "auto";
-  const next = names[(names.indexOf(now) + 1) % names.length];
-  localStorage.setItem("wrenchbook-theme", next);
-  setTheme(next);
-}
-
 document.getElementById("skip").addEventListener("click", (event) => { event.preventDefault(); main.focus(); });
 document.getElementById("key").addEventListener("click", askForKey);
-document.getElementById("theme").addEventListener("click", nextTheme);
 window.addEventListener("key-wanted", () => { if (!document.querySelector("dialog")) askForKey(); });
 window.addEventListener("hashchange", async () => {
   window.scrollTo(0, 0);
@@ -152,8 +140,6 @@ window.addEventListener("hashchange", async () => {
 });
 document.addEventListener("visibilitychange", tellState);
 window.addEventListener("no-connection", noAnswer);
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => window.dispatchEvent(new Event("theme")));
-setTheme(localStorage.getItem("wrenchbook-theme") || "auto");
 markKey();
 show();
 tellState();

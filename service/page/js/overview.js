@@ -12,7 +12,7 @@ import { insideBars, insideWords, madeOf, reportOf } from "./report.js";
 import { rowLinks } from "./rows.js";
 import { isAtWork, legend, namesOf, openJobs, sharesOf, wholeError } from "./shares.js";
 
-export async function show(root, { name }, signal) {
+export async function show(root, { name }, signal, query = new URLSearchParams()) {
   put(root, el("p", { class: "muted" }, "…"));
   const about = await get(of(name), signal);
   const warned = el("div", { class: "stack" }), glance = el("div", { class: "stack" }, el("p", { class: "muted" }, "…"));
@@ -41,6 +41,7 @@ export async function show(root, { name }, signal) {
     el("div", { class: "halves" },
       el("div", { class: "stack" }, el("section", { class: "card" }, el("h2", {}, "Coverage"), glance, about.has_fea ? fill(about, work, signal) : el("div", {}, linkTo(about, "table", "Import measured rows"))), range),
       el("div", { class: "stack" }, rows, el("section", { class: "card" }, el("h2", {}, "Part and conventions"), pictureOf(about, signal), contract(about)))));
+  if (query.has("fill")) document.getElementById("fill")?.focus(); // a link to the button
   let counting = null;
   const count_ = () => { // jobs end in bursts: the last one counts
     clearTimeout(counting);
@@ -99,7 +100,7 @@ async function cover(place, about, signal, isLatest) {
     glance = await get(`${of(about.name)}/glance`, signal);
     const title = (text) => (about.has_fea ? el("h3", {}, text) : null);
     parts.push(title("With mesh error"), wholeError(glance, about), legend(namesOf(glance)), title("Interpolation only"), sharesOf(glance, about));
-    parts.push(legend(), el("details", { class: "small" }, el("summary", {}, "What the bars mean"), el("p", { class: "muted" }, `Parts of the load range. Covered: the interpolation error is known and within the tolerance; thin: it is larger or not known; outside: beyond the load range, or beyond the rows for the methods by axes (additive, griddata). Kriging may cover loads a little beyond the rows. The first bar compares the complete error bar, of interpolation and of the solver, with the tolerance.${about.space ? "" : " Axis x has the loads Fx, My and Mz, axis y Fy, Mz and Mx, axis z Fz, Mx and My."}`)));
+    parts.push(legend(), el("details", { class: "small" }, el("summary", {}, "What the bars mean"), el("p", { class: "muted" }, `Parts of the load range. Covered: the interpolation error is known and within the tolerance; thin: it is larger or not known; outside: beyond the load range, with a load that no row varies, or beyond the rows for the methods by axes (additive, griddata). Kriging may cover loads a little beyond the rows. The first bar compares the complete error bar, of interpolation and of the solver, with the tolerance.${about.space ? "" : " Axis x has the loads Fx, My and Mz, axis y Fy, Mz and Mx, axis z Fz, Mx and My."}`)));
   } else parts.push(el("p", {}, about.pending_rows ? `${beingBuilt(about.pending_rows)} …` : isAtWork(about) ? ["The table has no rows yet. Solves: ", jobsLink(about), "."] : "The table has no rows yet."));
   if (isLatest()) put(place, parts);
   return glance;

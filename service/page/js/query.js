@@ -6,7 +6,7 @@ import { answerOf, keepAnswer, remember } from "./asked.js";
 import { el, field, note, pill, put, select } from "./dom.js";
 import { linkTo } from "./empty.js";
 import { listen } from "./events.js";
-import { OUTPUTS, counted, number, percent, pageWords, quantity, sentence, symbol, unitOfOutput, withBar, withoutRoundOff } from "./format.js";
+import { OUTPUTS, aligned, counted, largestOf, number, percent, pageWords, quantity, sentence, symbol, unitOfOutput, withBar, withoutRoundOff } from "./format.js";
 import { beyondRange, inputsText, named, outputsOf } from "./inputs.js";
 import { failureWords } from "./job_list.js";
 import { insideBars, insideWords, reportOf } from "./report.js";
@@ -92,11 +92,12 @@ async function query(place, about, wrench, options, signal, watched = null) {
 async function drawn(place, about, kept, signal) {
   const { wrench, options, answer, watched } = kept;
   keepAnswer(about.name, kept);
-  const why = answered(answer) && barUnknown(answer) ? await whyUnknown(about, answer, signal) : null;
+  const unknown = answered(answer) && (answer.coverage === "outside" || barUnknown(answer)) ? await get(of(about.name), signal) : null;
+  const why = unknown && barUnknown(answer) ? whyUnknown(answer, unknown) : null;
   const over = answer.coverage === "covered" && answer.within_tolerance === false ? await whyOver(about, wrench, options, signal) : null;
   const solve = answer.job === null && beyondRange(about, wrench) ? () => query(place, about, wrench, { ...options, beyond: true }, signal) : null;
   const limits = answered(answer) ? await limitsOf(about, signal) : {};
-  put(place, shown(answer, about, wrench, limits, why, over, solve));
+  put(place, shown(answer, { ...about, rows: unknown?.rows ?? about.rows }, wrench, limits, why, over, solve));
   if (answer.job && answer.job.id !== watched) await watch(place, about, wrench, options, answer.job, signal);
 }
 
@@ -122,8 +123,7 @@ async function whyOver(about, wrench, options, signal) {
 // Whether a displacement of an answer lacks its error bar.
 const barUnknown = ({ displacements, ...one }) => (displacements ? Object.values(displacements) : [one]).some(({ translation, rotation, error }) => !error || [...error.translation, ...error.rotation].some((bar, place) => bar === null && [...translation, ...rotation][place] !== null));
 
-async function whyUnknown(about, answer, signal) {
-  const { warnings = [], rows } = await get(of(about.name), signal);
+function whyUnknown(answer, { warnings = [], rows }) {
   const few = answer.reason ? "" : answer.coverage === "outside" ? "beyond the rows no error bar is known" : `the table has ${counted(rows, "row")}, too few for an error bar here`; // the server's reason is shown already
   return warnings.find((one) => one.where === "tolerance" && one.message.includes("unknown"))?.message || few;
 }
@@ -131,11 +131,12 @@ async function whyUnknown(about, answer, signal) {
 function shown(answer, about, wrench, limits, why, over, solve) {
   const outside = beyondRange(about, wrench);
   const reason = (answer.reason || "").replace(/: to solve it nevertheless, set beyond_range to true.*$/, "").split("; ").filter((part) => !outside || !/ outside the (load range|rows), /.test(part)).join("; ").replaceAll(/(?<=\. )[a-z]/g, (letter) => letter.toUpperCase()); // the note above says that, and the button is there
+  const guess = `Extrapolated from ${counted(about.rows, "row")}${barUnknown(answer) ? "; its error is not known" : ""}.`;
   return [
     el("div", { class: "line" }, stateOf(answer, outside), el("span", { class: "muted small" }, about_(answer))),
-    outside ? note("outside", el("span", {}, pageWords(`${outside.slice(0, -1)}${reason ? `; ${reason}` : ""}.`)), solve ? el("div", {}, el("button", { type: "button", onclick: solve }, "Solve it nevertheless")) : null) : null,
-    extrapolated(answer) && !outside ? note("outside", `Extrapolated from ${counted(about.rows, "row")}; its error is not known.`) : null,
-    reason && !outside ? note(answered(answer) && !(why !== null && answer.coverage === "covered") ? answer.coverage : "", pageWords(reason)) : null,
+    outside ? note("outside", el("span", {}, pageWords(`${outside.slice(0, -1)}${reason ? `; ${reason}` : ""}.`)), extrapolated(answer) ? el("span", {}, guess) : null, solve ? el("div", {}, el("button", { type: "button", onclick: solve }, "Solve it nevertheless")) : null) : null,
+    extrapolated(answer) && !outside ? note("outside", reason ? el("span", {}, `${pageWords(reason)}.`) : null, el("span", {}, guess)) : null,
+    reason && !outside && !extrapolated(answer) ? note(answered(answer) && !(why !== null && answer.coverage === "covered") ? answer.coverage : "", pageWords(reason)) : null,
     !answered(answer) && !about.has_fea && !about.rows ? linkTo(about, "table", "Import rows") : null,
     why ? note("thin", el("strong", {}, "The error bar is unknown"), el("span", {}, `${sentence(why)}.`)) : null,
     over ? note("thin", over) : null,
@@ -145,8 +146,8 @@ function shown(answer, about, wrench, limits, why, over, solve) {
   ];
 }
 
-// An answer from a table with few rows, beyond these: a guess.
-const extrapolated = (answer) => answered(answer) && answer.coverage === "outside" && barUnknown(answer);
+// An answer beyond the rows or the load range: a guess.
+const extrapolated = (answer) => answered(answer) && answer.coverage === "outside" && answer.source !== "fea";
 
 const answered = ({ translation, displacements }) => Boolean(translation || Object.values(displacements || {})[0]?.translation);
 
@@ -166,10 +167,14 @@ function moved(name, part, limits, answer) {
   const values = [part.translation, part.rotation].flatMap((group) => (part.error ? group.map((one) => (one !== null && Math.abs(one) < ROUNDOFF ? 0 : one)) : withoutRoundOff(group)));
   const bars = part.error ? [...part.error.translation, ...part.error.rotation].map((one) => (one !== null && one < ROUNDOFF ? 0 : one)) : [];
   if (name && bars.length && ![...values, ...bars].some((one) => one !== 0)) return el("p", { class: "muted" }, `${name}: no displacement`);
-  const hasLimit = limits.some(Boolean);
+  const hasLimit = limits.some(Boolean), isUnmeasured = (output) => answer.missing?.includes(name ? `${name}.${output}` : output);
+  const kinds = [0, 3].map((first) => { // one unit for the translation, and one for the rotation
+    const pick = (list) => list.slice(first, first + 3), size = largestOf([...pick(values), ...pick(bars)]);
+    const pairs = pick(OUTPUTS).map((output, k) => (isUnmeasured(output) ? { value: "not measured", bar: "–" } : withBar(values[first + k], bars[first + k], unitOfOutput(output), size)));
+    return [aligned(pairs.map((one) => one.value)), aligned(pairs.map((one) => one.bar))];
+  });
   const lines = OUTPUTS.map((output, place) => {
-    const unmeasured = answer.missing?.includes(name ? `${name}.${output}` : output);
-    const { value, bar } = unmeasured ? { value: "not measured", bar: "–" } : withBar(values[place], bars[place], unitOfOutput(output));
+    const [value, bar] = kinds[Math.floor(place / 3)].map((list) => list[place % 3]);
     const allowed = limits[place];
     const share = allowed && bars[place] !== null && bars[place] !== undefined ? shareOf(bars[place] / allowed) : "–";
     return row(symbol(output), value, bar, hasLimit ? share : null);

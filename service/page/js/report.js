@@ -108,7 +108,7 @@ function render(body, about, report, now) {
   const places = Object.entries(PLOTS).map(([name, [title]]) => [name, title, el("div", { id: `plot-${name}` })]);
   const card = (title, ...content) => el("section", { class: "card" }, el("h2", {}, title), content);
   put(body,
-    el("section", { class: "card" }, el("p", {}, el("strong", {}, report.advice)), el("p", { class: report.table_version === now ? "muted small" : "small" }, madeOf(report, now)), el("p", { class: "muted small" }, report.summary), report.needs_rows ? el("div", {}, linkTo(about, "overview", "Fill the table")) : null, files(about)),
+    el("section", { class: "card" }, el("p", {}, el("strong", {}, report.advice)), el("p", { class: report.table_version === now ? "muted small" : "small" }, madeOf(report, now)), el("p", { class: "muted small" }, report.summary), report.needs_rows ? el("div", {}, linkTo(about, "overview?fill", "Go to Fill the table")) : null, files(about)),
     places.map(([, title, place]) => card(title, place)),
     report.sections.map(({ title, note: text, head, lines }) => card(title, el("p", { class: "muted small" }, text),
       lines.length ? table(head.map((name, place) => (place ? `#${name}` : name)), lines, { scrolls: true }) : null)));

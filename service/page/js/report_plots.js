@@ -3,7 +3,7 @@
 const MARKS = { circle: "M-5 0a5 5 0 1 0 10 0a5 5 0 1 0-10 0", square: "M-4.5-4.5h9v9h-9z", diamond: "M0-6 6 0 0 6-6 0z", triangle: "M0-6 6 5H-6z", x: "M-5-5 5 5M5-5-5 5", cross: "M-6 0H6M0-6V6" };
 // Colour, mark and dash of each curve: curves that cross stay apart without colours too.
 const LOOKS = { kriging: ["accent", "circle", ""], griddata: ["outside", "square", "7 5"], additive: ["query", "diamond", "12 4 3 4"], linear: ["covered", "x", "2 4"], other: ["muted", "cross", "12 5"], FEA: ["ink", "diamond", "2 4"] };
-const HEIGHT = 360, BOX = { left: 62, right: 16, top: 14, bottom: 50 };
+const HEIGHT = 360, BOX = { left: 72, right: 16, top: 14, bottom: 50 };
 const UNITS = [[1, "s"], [1e-3, "ms"], [1e-6, "µs"], [1e-9, "ns"]];
 
 const shown = (entries) => entries.filter((entry) => entry.largest_error > 0); // null: not answered
@@ -40,7 +40,7 @@ function groups(report) {
 function tag(name, attributes, ...children) {
   const made = document.createElementNS("http://www.w3.org/2000/svg", name);
   for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  made.append(...children.flat().filter((one) => one !== null));
+  made.append(...children.flat(Infinity).filter((one) => one !== null));
   return made;
 }
 
@@ -90,7 +90,7 @@ function curves(report, width, found, along, text, label) {
           tag("title", {}, `${one.name}: ${percentText(100 * one.largest_error)}, ${timeText(one.seconds)}`))));
     }),
     level ? [rule(BOX.left, y(level), width - BOX.right, y(level), { stroke: "var(--ink)", "stroke-dasharray": "7 5", "stroke-width": 1.5 }),
-      words(width - BOX.right, y(level) - 7, width < 500 ? "mesh error" : "mesh error: more rows approach it", { "text-anchor": "end", fill: "var(--ink)", stroke: "var(--card)", "stroke-width": 4, "paint-order": "stroke" })] : []);
+      words(BOX.left + 6, y(level) - 7, width < 500 ? "mesh error" : "mesh error: more rows approach it", { "text-anchor": "start", fill: "var(--ink)", stroke: "var(--card)", "stroke-width": 4, "paint-order": "stroke" })] : []);
 }
 
 function calibration(report, width) {
@@ -103,7 +103,7 @@ function calibration(report, width) {
     words(width - right + 6, y(share) + 4, width < 500 ? text.split(" (")[0] : text, { "text-anchor": "start", fill: "var(--ink)" })];
   return frame(width,
     [0, 0.25, 0.5, 0.75, 1].map((one) => [rule(BOX.left, y(one), width - right, y(one)), words(BOX.left - 8, y(one) + 4, percentText(100 * one), { "text-anchor": "end" })]).flat(),
-    names.map((name, k) => words(BOX.left + slot * (k + 0.5), HEIGHT - BOX.bottom + 18, name)),
+    names.map((name, k) => words(BOX.left + slot * (k + 0.5), HEIGHT - BOX.bottom + 18, [name[0], tag("tspan", { dy: 3, "font-size": 9 }, name.slice(1))])),
     list.map((entry, one) => entry.inside_error_bar.map((share, k) => (share === null ? null
       : tag("rect", { x: left(k, one), y: y(share), width: bar, height: y(0) - y(share), fill: `var(--${(LOOKS[entry.method] || LOOKS.other)[0]})` },
         tag("title", {}, `${entry.method}, ${names[k]}: ${percentText(100 * share)}`))))).flat(),

@@ -3,7 +3,7 @@
 import { get, of, trouble } from "./api.js";
 import { choice, el, note, put } from "./dom.js";
 import { emptyTable } from "./empty.js";
-import { LOADS, OUTPUTS, counted, number, plain, prefixOf, quantity, symbol, unitOfLoad, unitOfOutput } from "./format.js";
+import { LOADS, OUTPUTS, counted, marked, number, plain, prefixOf, quantity, symbol, unitOfLoad, unitOfOutput } from "./format.js";
 import { OUTSIDE, beyondRange, loadsOf } from "./inputs.js";
 import { draw, faint } from "./plot.js";
 import { solverError, tableError } from "./shares.js";
@@ -98,7 +98,7 @@ function labelOf(state) {
   const parts = sweep.bars_are_whole ? ` (${table} ${inner > bars[place] / 1000 ? quantity(inner, unit, 2) : "negligible"}${bars[place] > inner ? `, ${rest} ${quantity(bars[place] - inner, unit, 2)}` : ""})` : "";
   const line = `${plain(output)} over ${plain(load)} by ${sweep.method}${straight ? `, less the straight line ${quantity(straight.at(0), unit)} + ${quantity(straight.slope, `${unit}/${unitOfLoad(load).replace("N·m", "(N·m)")}`)} · ${plain(load)}` : ""}.`, rest_ = `${share} % of the line is covered; ${drawn}.`;
   if (unknown === 100) return `${line} Its error bar is not known, so no band is drawn; ${rest_}`;
-  return `${line} The band is its 95 % error bar, ${sweep.bars_are_whole ? "" : "without the discretisation error, which is not known, "}at most ± ${widest}${parts}${unknown ? `, and not known, nor drawn, on ${unknown} % of the line` : ""}; ${rest_}`;
+  return `${line} The band is its 95 % error bar, ${sweep.bars_are_whole ? "" : "without the discretisation error, which is not known, "}at most ±\u00a0${widest}${parts}${unknown ? `, and not known, nor drawn, on ${unknown} % of the line` : ""}; ${rest_}`;
 }
 
 function picture(state, shade) {
@@ -158,12 +158,10 @@ function bands(about) {
     mark.style.background = `color-mix(in srgb, var(--${colour}) ${faint_}%, var(--card))`;
     return el("li", {}, mark, text);
   };
-  return el("ul", { class: "key-of-marks" }, one("accent", about.has_fea ? "interpolation error: more rows lower it" : `${tableError(about)}: more readings lower them`),
-    one("query", about.has_fea ? `${solverError(about)} error: a finer mesh ${about.linear ? "or nonlinear = true " : ""}lowers it` : `${solverError(about)}: a better rig lowers them`),
+  return el("ul", { class: "key-of-marks" }, one("accent", about.has_fea ? "interpolation error: more rows lower it" : `${tableError(about)}: more readings lower them`, 40),
+    one("query", about.has_fea ? `${solverError(about)} error: a finer mesh ${about.linear ? "or nonlinear = true " : ""}lowers it` : `${solverError(about)}: a better rig lowers them`, 20),
     one("thin", "thin: the rows do not cover it", 100 * SHADED[1][1]), one("muted", "outside the rows or the load range", 100 * SHADED[2][1]), el("li", {}, el("i", { class: "hollow" }), "row of the table"));
 }
-
-const marked = (name) => `${plain(name)[0]}<sub>${name[1]}</sub>`;
 
 function wide(at) {
   const low = at[0], high = at.at(-1), more = 0.02 * (high - low || 1);

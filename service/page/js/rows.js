@@ -3,7 +3,7 @@
 import { get, of, post, send, trouble } from "./api.js";
 import { el, field, notify, pill, put, select } from "./dom.js";
 import { empty, emptyTable, linkTo } from "./empty.js";
-import { counted, time, triple } from "./format.js";
+import { counted, largestOf, number as written, prefixOf, time, triple } from "./format.js";
 import { OUTSIDE, beyondRange, inputsText, named, outputsOf } from "./inputs.js";
 
 const SHOWN = 25; // rows of a page, each a call
@@ -22,7 +22,7 @@ export async function show(root, about, signal, query = new URLSearchParams()) {
   const number = el("input", { type: "number", min: 1, step: 1, value: query.get("row") || "", placeholder: "all" });
   const source = select(SOURCES, query.get("source") || ""), status = select(STATES, query.get("state") || "");
   const from = select([["", "all"], ...imports.map((one) => [String(one.id), `${one.id}${one.filename ? `: ${one.filename}` : ""}`])], query.get("import") || "");
-  let walk = null, latest = 0;
+  let walk = null, latest = 0, sizes = [0, 0]; // of translations and rotations: one unit for all rows
   const load = async (fresh) => {
     const mine = latest += 1; // of two at once the later one counts
     older.hidden = true;
@@ -42,7 +42,8 @@ export async function show(root, about, signal, query = new URLSearchParams()) {
         more = numbers.length > 0;
         read += numbers.length;
         const chosen = rows.filter((row) => walk.has(row) && (!status.value || stateOf(about, row) === status.value));
-        body.append(...chosen.map((row) => line(about, row)));
+        if (!body.children.length) sizes = ["u", "r"].map((kind) => largestOf(chosen.flatMap((row) => (row.displacement || []).filter((_, k) => isOf(outputsOf(about)[k], kind)))));
+        body.append(...chosen.map((row) => line(about, row, sizes)));
         shown += chosen.length;
       }
       older.hidden = !more;
@@ -63,7 +64,7 @@ export async function show(root, about, signal, query = new URLSearchParams()) {
   put(root, el("section", { class: "card" },
     el("form", { class: "few", onsubmit: (event) => { event.preventDefault(); chosen(); } }, field("Source", source), field("State", status), imports.length ? field("Import", from) : null, field("Row number", number)),
     el("p", { class: "muted small" }, "Newest first. The table no longer answers from a withdrawn row; it stays in the ledger and can be restored. All rows of an import are withdrawn and restored under ", el("a", { href: `#/c/${encodeURIComponent(about.name)}/table` }, "Import & export"), "."),
-    list, state, el("div", {}, older)));
+    el("div", { class: "wide", tabindex: "0" }, list), state, el("div", {}, older)));
   await load(true);
 }
 
@@ -107,13 +108,13 @@ function walkOf(name, row, source, status, imports, one, signal) {
 
 const stateOf = (about, { withdrawn, error, provenance, wrench }) => (error ? "damaged" : withdrawn ? "withdrawn" : provenance.setup && !provenance.setup.present ? "other files" : beyondRange(about, wrench) ? OUTSIDE : "in the table");
 
-function line(about, row) {
+function line(about, row, sizes) {
   const root = el("tr", { id: `row-${row.row}` });
-  draw(root, about, row);
+  draw(root, about, row, sizes);
   return root;
 }
 
-function draw(root, about, row) {
+function draw(root, about, row, sizes) {
   const state = stateOf(about, row);
   const number = el("td", { class: "number" }, String(row.row));
   if (row.error) { put(root, number, el("td", {}, pill(state, "wrong")), el("td", { class: "small whole", colspan: 4 }, row.error.message)); return; }
@@ -123,7 +124,7 @@ function draw(root, about, row) {
     try {
       await (row.withdrawn ? post(`${path}/restore`, {}) : send("DELETE", path));
       notify(row.withdrawn ? `Row ${row.row} is in the table again.` : `Row ${row.row} is withdrawn. It can be restored here.`);
-      draw(root, about, await get(path));
+      draw(root, about, await get(path), sizes);
       root.querySelector("button").focus();
     } catch (error) {
       event.target.disabled = false;
@@ -133,19 +134,33 @@ function draw(root, about, row) {
   const verb = row.withdrawn ? "Restore" : "Withdraw";
   put(root, number,
     el("td", {}, pill(state, { "in the table": "ok", withdrawn: "thin", [OUTSIDE]: "outside" }[state] || "")),
-    el("td", { class: "small whole", "data-head": "Wrench" }, inputsText(named(about, row.wrench), about, 4)),
-    el("td", { class: "small whole", "data-head": "Displacement" }, displacement(about, row.displacement)),
+    el("td", { class: "small whole", "data-head": "Wrench" }, about.space ? inputsText(named(about, row.wrench), about, 4) : six(["F", "M"], row.wrench.map((value) => written(value)), ["N", "N·m"])),
+    el("td", { class: "small whole", "data-head": "Displacement" }, displacement(about, row.displacement, sizes)),
     el("td", { class: "small", "data-head": "Source" }, origin(about, row), el("div", { class: "muted" }, time(row.provenance.when))),
     el("td", {}, el("button", { type: "button", class: "small", "aria-label": `${verb} row ${row.row}`, onclick: edit }, verb)));
 }
 
+const isOf = (output, kind) => output.split(".").at(-1).startsWith(kind);
+
+// Six numbers in two lines, whose columns are below each other in all rows.
+const six = (names, texts, units) => el("div", { class: "six" }, names.map((name, k) => [el("span", { class: "muted" }, name), texts.slice(3 * k, 3 * k + 3).map((text) => el("span", {}, text)), el("span", { class: "muted" }, units[k])]));
+
+const DIGITS = 5; // of the largest number of all rows
+
 // Three outputs a group: translations, then rotations, of each interface.
-function displacement(about, values) {
-  const names = outputsOf(about);
+function displacement(about, values, sizes) {
+  const names = outputsOf(about), units = sizes.map((size, k) => [...prefixOf(size), k ? "rad" : "m"]);
+  if (!about.space) {
+    const text = (value, k) => {
+      const [scale] = units[Math.floor(k / 3)], size = sizes[Math.floor(k / 3)] / scale, shown = value === null ? "–" : value ? (value / scale).toFixed(Math.max(0, DIGITS - 1 - Math.floor(Math.log10(size)))) : "0";
+      return value && !Number(shown) ? "≈ 0" : shown.replace("-", "\u2212");
+    };
+    return six(["u", "r"], values.map(text), units.map(([, prefix, unit]) => `${prefix}${unit}`));
+  }
   let text = "";
   for (let k = 0; k < names.length; k += 3) {
-    const [last, front] = names[k].split(".").reverse(), moves = last.startsWith("u");
-    text += `${front && moves ? `${k ? "; " : ""}${front}: ` : k ? ", " : ""}${moves ? "u" : "r"}\u00a0${triple(values.slice(k, k + 3), moves ? "m" : "rad")}`;
+    const [last, front] = names[k].split(".").reverse(), kind = last.startsWith("u") ? 0 : 1;
+    text += `${front && !kind ? `${k ? "; " : ""}${front}: ` : k ? ", " : ""}${kind ? "r" : "u"}\u00a0${triple(values.slice(k, k + 3), units[kind][2], sizes[kind])}`;
   }
   return text;
 }

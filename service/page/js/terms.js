@@ -15,7 +15,7 @@ const TERMS = [
   ["Error bar", "Half the width of the interval about an answer that holds the true value in 95 % of queries. Its parts are interpolation (more rows lower it), discretisation (a finer mesh lowers it), in a linear analysis linearity, and of measured rows hysteresis and drift; their noise is in the interpolation error."],
   ["Covered", "The interpolation error of the answer is known and within the tolerance."],
   ["Thin", "The interpolation error is larger than the tolerance or not known. The answer is an estimate; a query queues a solve there, and its row can make the wrench covered."],
-  ["Outside", "The wrench is beyond the load range, or beyond the rows for a method that does not extrapolate. Widen [range], or add rows there."],
+  ["Outside", "The wrench is beyond the load range, has a load that no row varies, or is beyond the rows for a method that does not extrapolate. Widen [range], or add rows there."],
   ["Tolerance", "The error of an answer that the user accepts. It stands in component.toml; without it, 1 % of the range of each output."],
   ["Method", "How a table answers. Kriging: a regression that gives an error bar everywhere. Griddata: linear interpolation within the Delaunay simplices of each axis. Additive: the sum of the axes' answers. Linear: one compliance for all loads. Without a choice the table takes the one with the least error at rows left out."],
   ["Compliance", "The 6 by 6 matrix of displacements per unit load, m/N and rad/(N·m)."],

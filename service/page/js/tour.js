@@ -5,8 +5,8 @@ import { el, put } from "./dom.js";
 const SEEN = "wrenchbook-tour", LOOKS_MS = 10000; // as long as a view may take to show what a step points to
 const STEPS = [
   ["query", "main .two form", "Ask a wrench", "Type the force and moment that act on the part, and press Ask. The answer is the displacement of its interface with a 95 % error bar."],
-  ["overview", "main .halves .card", "See the bar, and where the table is thin", "The bar shows with the first row. Its green share of the load range is answered within the tolerance. Elsewhere the table is thin: an answer there is an estimate, and a query queues a solve."],
-  ["overview", "#fill", "Fill the table", "Fill the table queues the solves that lower the error most, round by round, until the bar is green or the number that you give is reached. Where the mesh limits the bar, more solves do not help: the warning on this page gives the cell size that does. Rows of a test rig come in under Import & export."],
+  ["overview", "main .halves .card", "See where the table is thin", "Coverage has a bar from the first row on. Its green part of the load range is answered within the tolerance; elsewhere an answer is an estimate."],
+  ["overview", "#fill", "Fill the table", "This button queues the solves that lower the error most, up to the number that you give. Rows of a test rig come in under Import & export."],
 ];
 
 // Begins the tour at a part whose mesh is fine enough for its tolerance, else one that can be solved, unless this browser has seen it.

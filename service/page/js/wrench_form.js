@@ -42,9 +42,9 @@ export function wrenchForm(about, { action, asked, changed, more = [] }) {
   };
   inputs.forEach(mind);
   const read = () => inputs.map((input) => (input.value === "" ? NaN : Number(input.value)));
-  const rangeOf = ([low, high]) => (low === high ? "" : low === -high ? ` ± ${number(high)}` : ` ${number(low)} to ${number(high)}`);
+  const rangeOf = ([low, high]) => (low === high ? "" : `${number(low)} to ${number(high)}`);
   const labelled = (places) => el("div", { class: known[places[0]].kind === "scalar" ? "stack tight" : "three" }, places.map((place) =>
-    el("label", {}, known[place].kind === "scalar" ? `${known[place].name}, ${known[place].unit} (${number(spans[place][0])} to ${number(spans[place][1])})` : el("span", {}, mark(known[place].name.split(".").at(-1)), rangeOf(spans[place])), inputs[place])));
+    el("label", {}, known[place].kind === "scalar" ? `${known[place].name}, ${known[place].unit} (${number(spans[place][0])} to ${number(spans[place][1])})` : el("span", {}, mark(known[place].name.split(".").at(-1)), el("span", { class: "range" }, rangeOf(spans[place]))), inputs[place])));
   const groups = [];
   known.forEach((one, place) => {
     const title = one.kind === "scalar" ? "Further inputs" : `${one.kind[0].toUpperCase() + one.kind.slice(1)}${one.interface ? ` at ${one.interface}` : ""}, ${one.unit}`;

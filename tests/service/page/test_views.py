@@ -855,10 +855,16 @@ def test_an_empty_table_in_the_library_links_to_its_query_and_its_fill(browser, 
     browser.until(lambda: "empty table" in card.text)
     links = {a.text: a.get_attribute("hash") for a in card.find_elements("tag name", "a")}
     assert links["ask a query"] == "#/c/plate_ccx/query"
-    assert links["fill it"] == "#/c/plate_ccx/overview"
+    assert links["fill it"] == "#/c/plate_ccx/overview?fill"
     card.find_element("link text", "ask a query").click()
     browser.named("h1", "plate_ccx")
     browser.one("input[name='fx']")
+
+
+def test_the_link_of_a_fill_leads_to_its_button(browser, client):
+    browser.visit("#/c/plate_ccx/rows")
+    browser.click("main a", "Go to Fill the table")
+    browser.until(lambda: browser.run("return document.activeElement?.id === 'fill'"))
 
 
 def test_a_gap_of_the_coverage_leads_to_its_query(browser, plate):
@@ -1749,7 +1755,17 @@ def test_loads_of_the_outermost_cell_of_the_demand_are_bounds(browser, client):
         {"force": [-3000, 0, 0], "on_thin": "estimate"},
     )
     browser.visit("#/c/plate/demand")
-    browser.named("td", "F (≤ −2000, 0, 0) N")
+    browser.named("td", "F (≤ −1900, 0, 0) N")
+
+
+def test_a_load_of_the_demand_is_the_interval_that_its_cell_counts(browser, client):
+    client.call_json(
+        "POST",
+        "/v1/components/plate/displacement",
+        {"force": [0, 0, -1000], "on_thin": "estimate"},
+    )
+    browser.visit("#/c/plate/demand")
+    browser.named("td", "F (0, 0, −1500 to −500) N")
 
 
 @pytest.fixture(scope="module")
@@ -1799,6 +1815,64 @@ ROUNDED = """return import('/page/js/format.js').then(({ withBar }) => {
 def test_a_value_is_rounded_to_the_last_digit_of_its_bar(browser, pair, text):
     browser.visit("#/terms")
     assert browser.run(ROUNDED, pair) == text
+
+
+ALIGNED = """return import('/page/js/format.js').then(({ aligned, withBar }) =>
+  aligned(arguments[0].map(([value, bar]) => withBar(value, bar, "m", 2.4e-3).value)))"""
+
+
+def test_displacements_of_one_kind_have_one_unit_and_their_points_below_each_other(browser):
+    browser.visit("#/terms")
+    pairs = [[-2.4e-3, 1e-5], [3e-8, 2e-6], [0, 0], [None, None]]
+    texts = browser.run(ALIGNED, pairs)
+    assert texts == ["−2.400\u2007 mm", "0.0000 mm", "0\u2008\u2007\u2007\u2007\u2007 mm", "–"]
+
+
+def test_a_bar_below_the_last_digit_of_a_column_is_rounded_up(browser):
+    browser.visit("#/terms")
+    assert browser.run(ROUNDED, [0, 2e-9, "m", 2.4e-3]) == "0.0000 mm ± 0.0001 mm"
+
+
+def test_all_rows_have_their_displacements_in_one_unit(browser, plate):
+    browser.visit("#/c/plate_thin/rows")
+    browser.one("tbody .six")
+    units = "return [...document.querySelectorAll('tbody td:nth-child(4) .six > :nth-child(5)')]"
+    assert set(browser.run(f"{units}.map((one) => one.textContent)")) == {"mm"}
+
+
+def test_a_load_that_no_row_varies_is_outside_the_rows_in_an_answer(browser, strut):
+    lines = "".join(f"0,0,{force},{force * 1e-6}\n" for force in range(-250, 251, 50))
+    about = {"name": "one_load", "title": "Rig", "range": {"force": [300] * 3, "moment": [0] * 3}}
+    strut.call_json("POST", "/v1/components", about)
+    path = "/v1/components/one_load/table?missing_loads=zero"
+    content = f"Fx [N],Fy [N],Fz [N],uz [m]\n{lines}".encode()
+    strut.call("POST", path, content=content, headers={"Content-Type": "text/csv"})
+    strut.component("one_load", wait_s=60)
+    browser.visit("#/c/one_load/query")
+    browser.type("input[name=fx]", "100")
+    browser.click("form button", "Ask")
+    browser.named(".pill", "outside the rows")
+    browser.named(".note", "No row shows the influence of Fx")
+
+
+def test_a_view_that_the_server_did_not_answer_is_shown_when_it_is_back(browser, client):
+    browser.visit("#/terms")
+    browser.one("main h1")
+    browser.run("window.own = fetch; window.fetch = () => Promise.reject(new TypeError('gone'))")
+    browser.run("location.hash = '#/c/plate/checks'")
+    browser.named(".note", "No connection")
+    browser.run("window.fetch = window.own")
+    browser.named("h1", "plate")
+
+
+def test_a_missing_key_can_be_entered_where_the_view_would_be(browser, client):
+    browser.visit("#/terms")
+    browser.one("main h1")
+    browser.run("window.fetch = () => Promise.resolve(new Response('{}', {status: 401}))")
+    browser.run("location.hash = '#/c/plate'")
+    browser.click("dialog button", "Cancel")
+    browser.click(".note button", "Enter a key")
+    browser.one("dialog input")
 
 
 def test_a_wrench_beyond_the_range_is_solved_nevertheless_by_a_button(browser, client):
