@@ -71,6 +71,7 @@ DONORS = {
 USUAL = {
     "Client.job.wait_s": ("float, optional", "Longest wait for the end of the job, s."),
     "Client.call_json.method": ("str", "Method of the request, such as `GET`."),
+    "Recorder.add.wrench": ("array_like", "Shape (inputs,), N and N·m."),
     "Client.import_table.format": ("str, optional", "Format; by default from name and content."),
     "body": ("object", "What is sent, as JSON."),
     "client": ("Client", "A client of the server that has the components."),
@@ -102,7 +103,11 @@ def names() -> list[str]:
         lines += [f"## {heading}", ""]
         if heading == "Errors":
             rows = [(f"`{name}`", _purpose(getattr(wrenchbook, name))) for name in group]
-            lines += table(("name", "raised if"), rows)
+            lines += table(("name", "meaning"), rows)
+            for name in group:
+                if fields := described(getattr(wrenchbook, name), "Parameters"):
+                    cells = [(f"`{words}`", text) for words, _, text in fields]
+                    lines += [f"### {name}", "", *table(("attribute", "meaning"), cells)]
             continue
         for name in group:
             lines += _section(name, getattr(wrenchbook, name))
@@ -116,8 +121,6 @@ def _section(name: str, value: object) -> list[str]:
     lines = [f"### {name}", ""]
     if name in OF_MODULE or name in MADE_BY_CALLS or name == "AsyncClient":
         lines += [_purpose(value), "", *_remarks(value)]
-        if name == "Table":
-            lines += _parameters(name, value)
     else:
         lines += _call(name, value)
     if name == "AsyncClient":
@@ -178,8 +181,9 @@ def _signature(name: str, value: Callable) -> str:
 
 def _purpose(value: object) -> str:
     """Return the first line of a docstring, a result by its noun."""
-    text = inspect.cleandoc(value.__doc__ or "").partition("\n")[0].removeprefix("Return ")
-    return _plain(text[:1].upper() + text[1:])
+    text = _plain(inspect.cleandoc(value.__doc__ or "").partition("\n")[0])
+    noun = re.match(r"Return ([a-z])(?=\w* )", text)
+    return f"{noun[1].upper()}{text[noun.end() :]}" if noun else text.removeprefix("Return ")
 
 
 def _plain(text: str) -> str:
