@@ -310,6 +310,17 @@ def test_the_reference_has_every_public_name():
     ] == []
 
 
+def test_the_tests_that_the_threats_name_exist():
+    page = (DOCS / "reference/threats.md").read_text()
+    named = re.findall(r"`(?:\w+/)*(test_\w+\.py)(?:::(\w+))?`", page)
+    missing = [
+        (file, name)
+        for file, name in named
+        if not any(f"def {name}" in path.read_text() for path in ROOT.glob(f"tests/**/{file}"))
+    ]
+    assert missing == []
+
+
 @pytest.mark.parametrize("notebooks", ["off", slow("force")])  # run by the test above too
 def test_the_site_builds_without_a_warning_and_loads_nothing_from_another_host(tmp_path, notebooks):
     missing = [name for name in ("sphinx", "myst_nb", "furo") if not importlib.util.find_spec(name)]
