@@ -87,7 +87,7 @@ def headline(results: list[tuple[Case, Finding]], seconds: float) -> str:
 
 
 def by_topic(results: list[tuple[Case, Finding]]) -> str:
-    """Return a Markdown table of the verdicts and the largest error over its tolerance, by topic."""
+    """Return a Markdown table of verdicts and largest error over tolerance, by topic."""
     head = ("topic", "quantities", "pass", "reported", "largest error / tolerance")
     lines = [_row(head), _row(["---"] * len(head))]
     for topic in TOPICS:

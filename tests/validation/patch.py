@@ -70,7 +70,7 @@ def _patch(kind: str) -> Mesh:
 
 @case("patch")
 def constant_strain() -> Iterator[Finding]:
-    """Patch test: 27 distorted cubes of cells under a linear displacement of their surface."""
+    """Patch test: 27 distorted cubes under a linear displacement of their surface."""
     gradient = np.array([[0.3, -0.2, 0.5], [0.7, 0.1, -0.4], [-0.6, 0.2, 0.9]])
     for kind in KINDS:
         mesh = _patch(kind)
@@ -83,7 +83,7 @@ def constant_strain() -> Iterator[Finding]:
 
 @case("patch")
 def large_constant_deformation() -> Iterator[Finding]:
-    """Patch test at large deformation: 27 distorted cubes of cells, stretched 10 %, rotated 49 degrees."""
+    """Patch test at large deformation: 27 distorted cubes, stretched 10 %, rotated 49 degrees."""
     stretch = np.eye(3) + 0.1 * np.array([[1.0, 0.3, 0.1], [0.2, -0.4, 0.5], [0.6, 0.1, 0.8]])
     gradient = rotation(_ROTATION_VECTOR) @ stretch
     for kind in KINDS:
