@@ -158,7 +158,7 @@ def _call(name: str, value: Callable) -> list[str]:
     """Return signature, purpose, parameters and outcomes of a call."""
     base = _base(value) if inspect.isclass(value) else None
     return [
-        *("```py", _signature(name, value), "```", ""),
+        *("```text", _signature(name, value), "```", ""),
         *(_purpose(value), "", *_remarks(value)),
         *_parameters(name, value),
         *_outcomes(value),
