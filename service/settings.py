@@ -30,7 +30,7 @@ OTHERS = frozenset(
     | {"KILLS", "SOAK", "SOAK_KILLS", "SOAK_SEEDS", "BENCH_ROUNDS", "BENCH_UNKNOWNS"}
 )
 _SCHEMES = ("tcp", "tls", "ws", "wss", "ucx")  # schemes by which Dask connects to other machines
-_DONE, _FAILED = "folders of done attempts", "folders of failed and cancelled ones"
+_DONE, _FAILED = "folders of done attempts", "folders of failed and cancelled attempts"
 Count = Annotated[int, Ge(0)]
 Days = Annotated[float, Ge(0)]
 LogLevel = Literal["debug", "info", "warning", "error"]
@@ -46,43 +46,67 @@ class Settings:
     )
     host: Annotated[str, "address to listen on"] = "127.0.0.1"
     port: Annotated[int, Ge(0), Le(65535), "port to listen on; 0: a free one"] = 8000
-    processes: Annotated[int, Ge(1), Le(64), "processes that answer; one more builds tables"] = 1
+    processes: Annotated[int, Ge(1), Le(64), "web workers that answer"] = 1
     engine: Annotated[str, "where solves run: local or dask"] = "local"
-    scheduler: Annotated[str | None, "with --engine dask: tcp://HOST:8786, or tls://"] = None
-    allow_decks: Annotated[bool, "take uploaded decks, whose command solvers run"] = False
+    scheduler: Annotated[str | None, "Dask scheduler of --engine dask, tcp:// or tls://"] = None
+    allow_decks: Annotated[bool, "accept uploads whose deck has a solver command"] = False
     method: Annotated[
         Literal["griddata", "additive", "kriging", "linear"] | None,
-        "answers where a request names none; by default each table's best",
+        "interpolation method if a request names none; by default each table's best",
     ] = None
-    queue_limit: Annotated[Count, "open jobs of a component from queries"] = 64
-    actor_jobs: Annotated[int | None, Ge(0), "open jobs of an actor; by default any number"] = None
-    actor_seconds: Annotated[float | None, Ge(0), "solver seconds of an actor in 24 h"] = None
-    table_memory: Annotated[Count, "MB of rows and numpy tables that stay in memory"] = 700
+    queue_limit: Annotated[
+        Count, "largest number of open jobs that queries may queue for a component"
+    ] = 64
+    actor_jobs: Annotated[
+        int | None, Ge(0), "largest number of open jobs of an actor (a key or user); by default any"
+    ] = None
+    actor_seconds: Annotated[
+        float | None, Ge(0), "largest solver time of an actor in 24 h, s; by default any"
+    ] = None
+    table_memory: Annotated[Count, "memory for rows and numpy tables, MB"] = 700
     keep_days: Annotated[Days, f"days that {_DONE} are kept"] = 30.0
-    keep_count: Annotated[Count, f"{_DONE} that are kept, at most; 27 kB each"] = 2000
+    keep_count: Annotated[Count, f"largest number of {_DONE}; each has 27 kB"] = 2000
     keep_failed_days: Annotated[Days, f"days that {_FAILED} are kept"] = 180.0
-    keep_failed_count: Annotated[Count, f"{_FAILED} that are kept, at most"] = 10_000
-    log_level: Annotated[LogLevel, "how much is logged"] = "info"
-    log_format: Annotated[Literal["text", "json"], "lines for people or JSON for programs"] = "text"
-    access_log: Annotated[bool, "a line a request; queries take no fast path then"] = False
-    allow_host: Annotated[str | None, "further names of this server, with commas"] = None
-    allow_origin: Annotated[str | None, "sites whose pages may call, https://..., with commas"] = (
+    keep_failed_count: Annotated[Count, f"largest number of {_FAILED}"] = 10_000
+    log_level: Annotated[LogLevel, "lowest level that is logged"] = "info"
+    log_format: Annotated[Literal["text", "json"], "log lines as text, or as JSON objects"] = "text"
+    access_log: Annotated[bool, "log each request; this turns off the fast path of queries"] = False
+    allow_host: Annotated[str | None, "further host names of this server, separated by commas"] = (
         None
     )
-    trust_proxy_user: Annotated[str | None, "a proxy's user header: X-Forwarded-User"] = None
-    trust_proxy_from: Annotated[str | None, "networks of trusted proxies, with commas"] = None
-    trust_proxy_groups: Annotated[str | None, "header in which it lists the user's groups"] = None
-    trust_proxy_scopes: Annotated[str, "of groups, * for all: lab=write,*=read"] = "*=write"
-    replicate: Annotated[
-        str | None, "ship ledger, tables, bundles and surfaces to file:///FOLDER, s3://, sftp://"
+    allow_origin: Annotated[
+        str | None, "origins whose pages may call, https://..., separated by commas"
     ] = None
-    replicate_interval: Annotated[float, Ge(0.5), "seconds of work that a lost machine costs"] = 5.0
-    public_url: Annotated[str | None, "this server's URL, which its read-only servers name"] = None
-    read_only: Annotated[str | None, "URL of a replica to answer from; no writes, no solves"] = None
-    backup_every: Annotated[Days, "hours between backups, each tested; 0: none"] = 0.0
+    trust_proxy_user: Annotated[
+        str | None, "header of a trusted proxy with the user's name: X-Forwarded-User"
+    ] = None
+    trust_proxy_from: Annotated[str | None, "networks of trusted proxies, separated by commas"] = (
+        None
+    )
+    trust_proxy_groups: Annotated[
+        str | None, "header of a trusted proxy with the user's groups"
+    ] = None
+    trust_proxy_scopes: Annotated[
+        str, "scope of each group of users, * for all users: lab=write,*=read"
+    ] = "*=write"
+    replicate: Annotated[
+        str | None, "URL of a replica of this data directory: file:///FOLDER, s3:// or sftp://"
+    ] = None
+    replicate_interval: Annotated[float, Ge(0.5), "longest work, s, that the replica may lack"] = (
+        5.0
+    )
+    public_url: Annotated[
+        str | None, "URL of this server, which messages of its read-only servers contain"
+    ] = None
+    read_only: Annotated[
+        str | None, "URL of a replica: answer from it, without writes and solves"
+    ] = None
+    backup_every: Annotated[
+        Days, "hours between backups, each of which is tested; 0: no backups"
+    ] = 0.0
     backup_folder: Annotated[Path | None, "folder of the backups; by default DATA/backups"] = None
-    backup_keep: Annotated[int, Ge(1), "newest backups that are kept"] = 7
-    first_key: Annotated[bool, "make a key for admin if there is none; printed once"] = False
+    backup_keep: Annotated[int, Ge(1), "number of newest backups that are kept"] = 7
+    first_key: Annotated[bool, "make and print a key of scope admin if there is no key"] = False
 
 
 class SettingsError(ValueError):

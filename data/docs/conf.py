@@ -16,17 +16,16 @@ from docutils.nodes import SkipNode
 from docutils.utils.math.latex2mathml import tex2mathml
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT), str(Path(__file__).parent)]
-
-import generated  # noqa: E402
+sys.path[:0] = [str(ROOT)]
 
 import wrenchbook  # noqa: E402
+from data.docs.generated import navigation  # noqa: E402
 
 project = "wrenchbook"
 author = "the wrenchbook maintainers"
 release = version = wrenchbook.__version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_nb"]
 root_doc = "data/docs/index"
 include_patterns = [
     "data/docs/**.md",
@@ -49,13 +48,6 @@ myst_heading_anchors = 4
 nb_execution_mode = os.environ.get("DOCS_NOTEBOOKS", "force")
 nb_execution_timeout = 1800  # s: it hangs; beside other programs a solve takes minutes
 nb_execution_raise_on_error = True
-
-# The library's reference is its docstrings.
-autodoc_member_order = "bysource"
-autodoc_typehints = "none"
-napoleon_google_docstring = False
-napoleon_use_rtype = False
-napoleon_use_ivar = True
 
 html_theme = "furo"
 html_title = f"wrenchbook {release}"
@@ -82,10 +74,10 @@ def displayed_formula(translator, node):
     raise SkipNode
 
 
-def append_generated(app, docname, source):
-    """Append to pages of the reference what the program itself describes."""
-    if docname in generated.PAGES:
-        source[0] += generated.PAGES[docname]()
+def append_navigation(app, docname, source):
+    """Append the navigation of the site to its first page."""
+    if docname == root_doc:
+        source[0] += navigation()
 
 
 def start_server(app):
@@ -115,7 +107,7 @@ def end_server(app, error):
 def setup(app):
     """Register the functions above with Sphinx."""
     app.add_html_math_renderer("mathml", (inline_formula, None), (displayed_formula, None))
-    app.connect("source-read", append_generated)
+    app.connect("source-read", append_navigation)
     if nb_execution_mode != "off":
         app.connect("builder-inited", start_server)
         app.connect("build-finished", end_server)

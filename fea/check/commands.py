@@ -242,26 +242,38 @@ def _parser() -> argparse.ArgumentParser:
 
     add = command(check, "Check a component bundle: mesh, groups, supports, cost of a solve.")
     add("--mass", type=float, help="mass at the interface, kg, for the natural frequency")
-    add("--inertia", type=_numbers, help="its inertia about its centre, kg·m^2: xx,yy,zz or six")
-    add("--centre", type=_numbers, help="its centre from the interface point, m: x,y,z")
-    add("--nonlinear", action="store_true", help="nonlinear solves for the stresses over the range")
-    add("--schema", action="store_true", help="the JSON schema of component.toml, for editors")
-    add("--faces", action="store_true", help="list the faces of any mesh, with the TOML of each")
-    add("--plot", type=Path, help="draw the numbered faces as a page, .html")
+    add(
+        "--inertia",
+        type=_numbers,
+        help="inertia of the --mass about its centre, kg·m^2: xx,yy,zz or six",
+    )
+    add("--centre", type=_numbers, help="centre of the --mass from the interface point, m: x,y,z")
+    add(
+        "--nonlinear",
+        action="store_true",
+        help="solve nonlinearly for the stresses over the load range",
+    )
+    add(
+        "--schema", action="store_true", help="print the JSON schema of component.toml, for editors"
+    )
+    add("--faces", action="store_true", help="list the faces of the mesh, each with its TOML")
+    add("--plot", type=Path, help="write a page with the numbered faces to this .html file")
     add("folder", type=Path, metavar="FOLDER", nargs="?", help="folder of the component bundle")
 
     text = "Solve a part on finer meshes: order, limit, and the error of its mesh."
     add = command(converge, text, ValueError)
-    text = "a finer mesh with the same groups; once or twice, the finest last"
+    text = "finer mesh with the same groups; given once or twice, the finest last"
     add("--finer", type=Path, action="append", default=[], help=text)
-    add("--plot", type=Path, help="write errors over cell sizes as a page, .html")
+    add("--plot", type=Path, help="write a page with the errors over cell sizes to this .html file")
     add("folder", type=Path, help="folder of the component bundle")
 
     text = "Write stiffness and mass of frames and modes (Craig-Bampton) for other programs."
     add = command(condense, text, ValueError)
-    add("--modes", type=int, default=10, help="modes with all frames held (default 10)")
-    add("--damping", type=float, default=0.0, help="damping ratio of all elastic modes; or none")
-    add("--first", type=int, default=1, help="number of the first node in .pch and .mtx")
+    add("--modes", type=int, default=10, help="number of modes with all frames held (default 10)")
+    add("--damping", type=float, default=0.0, help="damping ratio of all elastic modes (default 0)")
+    add(
+        "--first", type=int, default=1, help="number of the first node in .pch and .mtx (default 1)"
+    )
     add("folder", type=Path, help="folder of the component bundle")
     add("out", type=Path, help="the file to write: .npz, .pch (Nastran) or .mtx (Abaqus)")
 

@@ -106,7 +106,7 @@ Data = Annotated[
     ),
 ]
 BeyondRange = Annotated[
-    bool, typer.Option("--beyond-range", help="also solve wrenches outside the load range")
+    bool, typer.Option("--beyond-range", help="solve wrenches outside the load range as well")
 ]
 AsJson = Annotated[
     bool, typer.Option("--json", help="print JSON on stdout, and progress on stderr")

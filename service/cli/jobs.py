@@ -51,11 +51,17 @@ def jobs(
 def audit(
     component: Annotated[str | None, typer.Option(help="only writes about this component")] = None,
     actor: Annotated[
-        str | None, typer.Option(help="only of this actor: a key, or user:NAME")
+        str | None, typer.Option(help="only writes of this actor: the name of a key, or user:NAME")
     ] = None,
-    action: Annotated[str | None, typer.Option(help="only this: row.withdraw, or job.*")] = None,
-    since: Annotated[str | None, typer.Option(help="from this time on, ISO 8601")] = None,
-    until: Annotated[str | None, typer.Option(help="before this time")] = None,
+    action: Annotated[
+        str | None, typer.Option(help="only writes of this action, such as row.withdraw or job.*")
+    ] = None,
+    since: Annotated[
+        str | None, typer.Option(help="only writes from this time on, ISO 8601")
+    ] = None,
+    until: Annotated[
+        str | None, typer.Option(help="only writes before this time, ISO 8601")
+    ] = None,
     limit: Annotated[int, typer.Option(min=1, help="largest number of entries")] = 100,
     after: Annotated[int | None, typer.Option(help="only entries older than this one")] = None,
     as_json: AsJson = False,

@@ -38,24 +38,32 @@ _Moment = Annotated[
 
 def joint(
     name: Name,
-    scene: Annotated[Path, typer.Argument(help="the MJCF file", exists=True, dir_okay=False)],
+    scene: Annotated[
+        Path, typer.Argument(help="MJCF file of the scene", exists=True, dir_okay=False)
+    ],
     base: Annotated[str, typer.Option(help="body on the support's side")] = "base",
     tip: Annotated[str, typer.Option(help="body on the interface's side, its child")] = "tip",
     interface: Annotated[
-        str | None, typer.Option(help="of a part that moves at several: the one at the tip")
+        str | None, typer.Option(help="interface at the tip, of a part with several")
     ] = None,
     site: Annotated[
         str | None,
-        typer.Option(help="site of the tip: interface point and frame; else the body's own"),
+        typer.Option(
+            help="site on the tip with the point and frame of the interface; by default the tip"
+        ),
     ] = None,
     massless: Annotated[
         bool, typer.Option("--massless", help="do not add the part's own mass to the tip")
     ] = False,
     linear: Annotated[
-        bool, typer.Option("--linear", help="bend by springs in the scene, without MujocoJoint")
+        bool,
+        typer.Option(
+            "--linear", help="write springs into the scene, which bend without MujocoJoint"
+        ),
     ] = False,
     damping: Annotated[
-        float, typer.Option(min=0.0, help="of --linear: fraction of critical damping of each mode")
+        float,
+        typer.Option(min=0.0, help="with --linear: fraction of critical damping of each mode"),
     ] = DAMPING,
     force: _Force = ZERO,
     moment: _Moment = ZERO,
@@ -151,13 +159,14 @@ def stiffness(
     between: Annotated[
         tuple[float, float] | None,
         typer.Option(
-            metavar="LOW HIGH", help="two loads: fit the measured rows between them instead"
+            metavar="LOW HIGH", help="fit the measured rows between these two loads instead"
         ),
     ] = None,
-    axis: Annotated[str | None, typer.Option(help="of --between: load, such as fz")] = None,
-    of: Annotated[str | None, typer.Option(help="of --between: output, such as uz")] = None,
+    axis: Annotated[str | None, typer.Option(help="with --between: load, such as fz")] = None,
+    of: Annotated[str | None, typer.Option(help="with --between: output, such as uz")] = None,
     number: Annotated[
-        int | None, typer.Option("--import", min=1, help="of --between: rows of an import alone")
+        int | None,
+        typer.Option("--import", min=1, help="with --between: use the rows of this import only"),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="write JSON to this file", callback=in_folder)

@@ -185,7 +185,7 @@ def work(
 
 def demo(
     keep: Annotated[
-        Path | None, typer.Option(help="keep the data directory in this folder")
+        Path | None, typer.Option(help="keep the data directory of the demo in this folder")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -234,11 +234,13 @@ def backup(
 def restore(
     file: Annotated[str, typer.Argument(help="the backup, or the URL of a replica")],
     at: Annotated[
-        datetime | None, typer.Option(help="UTC; of a replica, its newest state until this time")
+        datetime | None,
+        typer.Option(help="restore the newest state of a replica until this time, UTC"),
     ] = None,
     data: Folder = DEFAULT_DATA,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="move existing files of the data directory aside")
+        bool,
+        typer.Option("--overwrite", help="move existing files of the data directory aside first"),
     ] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -300,7 +302,7 @@ def doctor(
     data: Folder = DEFAULT_DATA,
     repair: Annotated[
         bool,
-        typer.Option("--repair", help="repair the ledger or a table from the copy that is intact"),
+        typer.Option("--repair", help="repair a damaged ledger or table from the intact copy"),
     ] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -338,13 +340,17 @@ def add(
     name: KeyName,
     scope: Annotated[
         Scope,
-        typer.Option(help="read: GET and queries; write: also changes; admin: also keys and decks"),
+        typer.Option(
+            help="read allows GET and queries; write also changes; admin also keys and decks"
+        ),
     ] = "write",
     rate: Annotated[float, typer.Option(help="largest number of requests a second")] = RATE,
     megabytes: Annotated[int, typer.Option(help="largest body, MiB")] = MEGABYTES,
     component: Annotated[
         list[str] | None,
-        typer.Option(help="components it may touch: a name, or plate_*; repeatable; default all"),
+        typer.Option(
+            help="components of the key: a name or a pattern, plate_*; repeatable; default all"
+        ),
     ] = None,
     days: Annotated[float | None, typer.Option(help="days of validity; default: no end")] = None,
     as_json: AsJson = False,

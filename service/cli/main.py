@@ -91,19 +91,15 @@ InterfaceLoads = Annotated[
     list[str] | None,
     typer.Option(
         "--load",
-        help="load of an interface, of several: force, or force and moment; repeatable",
+        help="force, or force and moment, on one of several interfaces; repeatable",
         metavar="NAME=FX,FY,FZ[,MX,MY,MZ]",
     ),
 ]
-_COMPARED = (
-    "coverage and fill compare the interpolation error with it, within_tolerance the whole error "
-    "bar; by default the component's"
-)
 ToleranceTranslation = Annotated[
-    float | None, typer.Option(help=f"tolerance of a translation, m: {_COMPARED}")
+    float | None, typer.Option(help="tolerance of a translation, m; by default the component's")
 ]
 ToleranceRotation = Annotated[
-    float | None, typer.Option(help=f"tolerance of a rotation, rad: {_COMPARED}")
+    float | None, typer.Option(help="tolerance of a rotation, rad; by default the component's")
 ]
 Former = Annotated[float | None, typer.Option(hidden=True)]  # names of version 0.2
 
@@ -126,23 +122,24 @@ def query(
     wait_s: Annotated[
         float | None,
         typer.Option(
-            help="seconds to wait for the solve; implies --on-thin wait, whose default is 30"
+            help="longest wait for the solve, s; sets --on-thin wait, whose default is 30 s"
         ),
     ] = None,
     tolerance_translation: ToleranceTranslation = None,
     tolerance_rotation: ToleranceRotation = None,
     method: Annotated[
-        str | None, typer.Option(help="interpolation, such as griddata; by default the component's")
+        str | None,
+        typer.Option(help="interpolation method, such as griddata; by default the component's"),
     ] = None,
     detail: Annotated[
         bool,
         typer.Option(
             "--detail",
-            help="add the parts of the error bar, and each axis with its rows, to --json",
+            help="with --json: add the parts of the error bar, and the rows of each load group",
         ),
     ] = False,
     derivatives: Annotated[
-        bool, typer.Option("--derivatives", help="add du/dw, 6 x 6, to what --json prints")
+        bool, typer.Option("--derivatives", help="with --json: add the derivative du/dw, 6 x 6")
     ] = False,
     beyond_range: BeyondRange = False,
     as_json: AsJson = False,
@@ -175,7 +172,7 @@ def solve(
     moment: Moment = None,
     load: InterfaceLoads = None,
     further: FurtherInput = None,
-    wait_s: Annotated[float, typer.Option(help="seconds to wait for the solve")] = 600.0,
+    wait_s: Annotated[float, typer.Option(help="longest wait for the solve, s")] = 600.0,
     beyond_range: BeyondRange = False,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
@@ -240,7 +237,7 @@ def fill(
         ),
     ] = None,
     for_joint: Annotated[
-        bool, typer.Option("--for-joint", help="until a joint can invert the table")
+        bool, typer.Option("--for-joint", help="fill until a joint can invert the table")
     ] = False,
     translation: Former = None,
     rotation: Former = None,
@@ -280,7 +277,7 @@ def _pairs(ends: Six) -> list[list[float]]:
 @app.command()
 def plan(
     scene: Annotated[
-        Path, typer.Argument(help="a scene's .toml file", exists=True, dir_okay=False)
+        Path, typer.Argument(help="TOML file of the scene", exists=True, dir_okay=False)
     ],
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
@@ -303,7 +300,7 @@ def report(
     wrenches: Annotated[int, typer.Option(min=3, help="random wrenches to compare")] = 24,
     html: Annotated[
         Path | None,
-        typer.Option(help="also write a page with plots to this file", callback=in_folder),
+        typer.Option(help="write a page with plots to this .html file as well", callback=in_folder),
     ] = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,

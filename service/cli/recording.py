@@ -24,7 +24,9 @@ from wrenchbook.service.client import Client, Started
 from wrenchbook.service.contract import LOADS, OUTPUTS, counted
 
 Clear = Annotated[bool, typer.Option("--clear", help="delete the recorded wrenches")]
-Start = Annotated[bool, typer.Option("--start", help="solve them, and show the progress")]
+Start = Annotated[
+    bool, typer.Option("--start", help="solve the recorded wrenches, and show the progress")
+]
 Budget = Annotated[int | None, typer.Option(min=1, help="largest number of solves")]
 
 

@@ -66,7 +66,7 @@ def import_table(
         bool, typer.Option("--partial", help="load the correct rows even if others have mistakes")
     ] = False,
     decimal: Annotated[
-        str | None, typer.Option(help="the decimal mark of numbers in text: . or ,", metavar="MARK")
+        str | None, typer.Option(help="decimal mark of numbers in text: . or ,", metavar="MARK")
     ] = None,
     ignore: Annotated[
         list[str] | None, typer.Option(help="a column to leave out; repeatable")
@@ -85,14 +85,17 @@ def import_table(
     unit: Annotated[
         list[str] | None,
         typer.Option(
-            help="unit of a --column without [UNIT], in their order; the file's own if left out"
+            help="unit of each --column without [UNIT], in order; by default the unit of the file"
         ),
     ] = None,
     missing_loads_zero: Annotated[
         bool, typer.Option("--missing-loads-zero", help="loads without a column are zero")
     ] = False,
     tare: Annotated[
-        int | None, typer.Option(min=0, help="first rows, whose mean is subtracted from others")
+        int | None,
+        typer.Option(
+            min=0, help="number of first rows, whose mean is subtracted from the other rows"
+        ),
     ] = None,
     sheet: Annotated[
         str | None,
@@ -111,42 +114,47 @@ def import_table(
     ] = None,
     frame: Annotated[
         str | None,
-        typer.Option(help="the rig's axes in the interface's frame, such as x=-y,y=x,z=z"),
+        typer.Option(help="axes of the rig in the frame of the interface, such as x=-y,y=x,z=z"),
     ] = None,
     load_point: _Point = None,
     displacement_point: _Point = None,
     load_cell: Annotated[
         str | None,
-        typer.Option(metavar="moving|fixed", help="point of the moments: moving or fixed"),
+        typer.Option(
+            metavar="moving|fixed",
+            help="whether the load cell, the point of the moments, moves with the interface",
+        ),
     ] = None,
     rig: Annotated[
         str | None,
-        typer.Option(metavar="FILE|NAME", help="profile: a TOML, or one of `wrenchbook rig list`"),
+        typer.Option(
+            metavar="FILE|NAME", help="rig profile: a TOML file, or a name of `wrenchbook rig list`"
+        ),
     ] = None,
     skip_cycles: Annotated[
-        int | None, typer.Option(min=0, help="first cycles of the main load to leave out")
+        int | None, typer.Option(min=0, help="number of first cycles of the main load to leave out")
     ] = None,
     branch: Annotated[
         str | None,
-        typer.Option(metavar="loading|unloading", help="branch to load: loading or unloading"),
+        typer.Option(metavar="loading|unloading", help="load this branch of each cycle only"),
     ] = None,
     thin: Annotated[
-        float | None, typer.Option(help="part of the load range within which rows are averaged")
+        float | None, typer.Option(help="fraction of the load range within which rows are averaged")
     ] = None,
     mean_cycles: Annotated[
-        bool, typer.Option("--mean-cycles", help="repeated cycles become their mean")
+        bool, typer.Option("--mean-cycles", help="replace repeated cycles by their mean")
     ] = False,
     lag: Annotated[
         str | None,
         typer.Option(
             "--lag",
             "--time-offset",
-            help="seconds to add to the displacements' times; auto: as the two logs show",
+            help="seconds to add to the displacement times; auto: estimated from the two logs",
         ),
     ] = None,
-    note: Annotated[str | None, typer.Option(help="a note to store with the import")] = None,
+    note: Annotated[str | None, typer.Option(help="note to store with the import")] = None,
     wait_s: Annotated[
-        float, typer.Option(help="seconds to wait until answers come from the rows", min=0, max=600)
+        float, typer.Option(help="longest wait until answers come from the rows, s", min=0, max=600)
     ] = WAIT_S,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
@@ -231,7 +239,7 @@ def export_table(
         ),
     ],
     method: Annotated[
-        str | None, typer.Option(help="with .fmu: its interpolation; by default the table's")
+        str | None, typer.Option(help="with .fmu: interpolation method; by default the table's")
     ] = None,
     platforms: Annotated[
         str | None,
@@ -252,7 +260,7 @@ def export_table(
         Literal["displacement", "load"] | None,
         typer.Option(
             metavar="displacement|load",
-            help="a .csv of load over displacement of each axis, with this zero on the others",
+            help="write a .csv of load over displacement; on the other axes this is zero",
         ),
     ] = None,
     as_json: AsJson = False,
@@ -336,9 +344,9 @@ def withdraw(
     ] = None,
     finding: Annotated[
         str | None,
-        typer.Option(help="cause of a finding: withdraw its rows, not all of the import"),
+        typer.Option(help="cause of a finding: withdraw the rows of this finding only"),
     ] = None,
-    restore: Annotated[bool, typer.Option("--restore", help="bring the rows back instead")] = False,
+    restore: Annotated[bool, typer.Option("--restore", help="restore the rows instead")] = False,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,
     data: Data = None,
@@ -366,10 +374,10 @@ def compare(
     name: Name,
     number: Annotated[
         int | None,
-        typer.Option("--import", min=1, help="compare this import; by default all measured rows"),
+        typer.Option("--import", min=1, help="import to compare; by default all measured rows"),
     ] = None,
     against: Annotated[
-        int | None, typer.Option(min=1, help="the import that is the reference, not the solves")
+        int | None, typer.Option(min=1, help="import to compare with; by default the solves")
     ] = None,
     csv: Annotated[
         Path | None, typer.Option(help="write the rows to this file as CSV", callback=in_folder)
@@ -392,9 +400,10 @@ def compare(
 
 def rig(
     action: Annotated[Literal["list", "show", "add", "remove"], typer.Argument()],
-    name: Annotated[str, typer.Argument(help="of the profile")] = "",
+    name: Annotated[str, typer.Argument(help="name of the profile")] = "",
     file: Annotated[
-        Path | None, typer.Argument(help="of add: its TOML", exists=True, dir_okay=False)
+        Path | None,
+        typer.Argument(help="TOML file of the profile, for add", exists=True, dir_okay=False),
     ] = None,
     as_json: AsJson = False,
     server: Server = DEFAULT_SERVER,

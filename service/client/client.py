@@ -77,10 +77,10 @@ class DisplacementCalls(Connection):
         method : str, optional
             The method of the answer, such as ``griddata``; the component's own choice otherwise.
         detail : bool
-            Whether ``raw`` shall have ``error_parts``, the parts of the error bar, and ``axes``,
+            Whether ``raw`` has ``error_parts``, the parts of the error bar, and ``axes``,
             the displacement by the loads of each axis.
         derivatives : bool
-            Whether the answer shall have du/dw, 6 x 6 a wrench: ``derivative``.
+            Whether the answer has `derivative`, du/dw, 6 x 6 for each wrench.
         beyond_range : bool
             Whether a wrench outside the component's load range may be solved. If not, ``queue``
             answers it flagged and without a job, and ``wait`` and `solve` refuse it.
@@ -218,8 +218,6 @@ class SurfaceCalls(Connection):
     ) -> DeformedShape:
         """Return a component's deformed surface under one wrench, N and N·m.
 
-        Parameters are those of `DisplacementCalls`.
-
         Raises
         ------
         ValueError
@@ -237,10 +235,9 @@ class SurfaceCalls(Connection):
         moment: ArrayLike | None = None,
         format: str = "gltf",  # noqa: A002 (the contract's word)
     ) -> bytes:
-        """Return the same as the content of a file: ``gltf`` (.glb), ``vtu`` or ``json``.
+        """Return the surface of `deformed` as a file: ``gltf`` (.glb), ``vtu`` or ``json``.
 
-        Parameters are those of `deformed`: force and moment of shape (3,), N and N·m. Lengths in
-        the file are m.
+        Lengths in the file are m.
         """
         return self.call("GET", _path(name, force, moment, format)).content
 

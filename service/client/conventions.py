@@ -1,4 +1,4 @@
-"""Wrenches and poses of other programs, to and from the wrench contract; in this file only.
+"""Wrenches and poses of other programs, to and from the wrench contract.
 
 The wrench contract: force then moment, N and N·m, acting ON the deformable component, about its
 displaced interface point (it moves with the section), in axes fixed to the undeformed interface
@@ -155,8 +155,7 @@ def from_mujoco(force: ArrayLike, torque: ArrayLike, component: Side) -> Vector:
     Notes
     -----
     The MuJoCo XML reference (sensor/force) puts the site on the child and calls the force one that
-    "points from the child towards the parent"; what is measured is the parent holding the child
-    (see the head of this file).
+    "points from the child towards the parent"; what is measured is the parent holding the child.
     """
     return _on(component, single_wrench(force, torque))
 

@@ -296,6 +296,7 @@ class LibraryCalls(Connection):
         against : int, optional
             The import whose rows are the reference, by a kriging of them; the solves otherwise.
         format : {"json", "csv"}
+            ``csv``: the rows alone, as text.
 
         Returns
         -------
@@ -366,7 +367,7 @@ class LibraryCalls(Connection):
         self.call("DELETE", component_path(name, f"table/{_whole('row', row)}"))
 
     def restore_row(self, name: str, row: int) -> None:
-        """Restore a withdrawn row of a table; parameters and errors as `invalidate_row`."""
+        """Restore a withdrawn row of a table; errors as of `invalidate_row`."""
         self.call("POST", component_path(name, f"table/{_whole('row', row)}/restore"))
 
     def withdraw_import(

@@ -60,7 +60,7 @@ class RecordingCalls(Connection):
         return Recording.read(self.call_json("GET", component_path(name, "recording")))
 
     def clear_recording(self, name: str) -> int:
-        """Forget a component's recording, and return how many wrenches it had taken in."""
+        """Delete a component's recording; return the number of its wrenches."""
         return self.call_json("DELETE", component_path(name, "recording"))["cleared"]
 
     def start_recording(
@@ -101,7 +101,7 @@ class RecordingCalls(Connection):
         return Envelope.read(self.call_json("GET", component_path(name, "envelope"), query=query))
 
     def clear_envelope(self, name: str) -> int:
-        """Forget a component's envelope, and return how many wrenches it had taken in."""
+        """Delete a component's envelope; return the number of its wrenches."""
         return self.call_json("DELETE", component_path(name, "envelope"))["cleared"]
 
     def start_envelope(self, name: str, *, beyond_range: bool = False) -> Started:

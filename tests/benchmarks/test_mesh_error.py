@@ -1,6 +1,6 @@
 """The mesh's share of the bars beside two refinements: `make bench NAME=mesh_error`.
 
-Four shipped components, four parts from STEP files, ten kinds of parts on coarse meshes and ten
+Four shipped components, four parts from STEP files, twelve kinds of parts on coarse meshes and ten
 STEP parts with holes and fillets of random dimensions (the variable SEED draws others), each at its
 six loads alone and at 40 wrenches of all six. The truth is continued from the two finer meshes
 as an error of the order 1.5: between 1, at singular edges, and 2 or more, in smooth fields. Of the
@@ -124,7 +124,7 @@ GROUPS = {
     "eight parts": [
         (name, shipped_or_drawn) for name in ("bar", "plate", "plate_thin", "spring", *STEPS)
     ],
-    "ten kinds": list(kinds()),
+    "twelve kinds": list(kinds()),
     "ten STEP parts by chance": [(draw.__name__, drawn_by_chance) for draw in step_parts.DRAW],
 }
 

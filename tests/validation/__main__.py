@@ -86,6 +86,19 @@ def headline(results: list[tuple[Case, Finding]], seconds: float) -> str:
     )
 
 
+def by_topic(results: list[tuple[Case, Finding]]) -> str:
+    """Return a Markdown table of verdicts and largest error over tolerance, by topic."""
+    head = ("topic", "quantities", "pass", "reported", "largest error / tolerance")
+    lines = [_row(head), _row(["---"] * len(head))]
+    for topic in TOPICS:
+        findings = [finding for one, finding in results if one.topic == topic]
+        verdicts = [finding.verdict for finding in findings]
+        ratios = [f.error / f.tolerance for f in findings if f.tolerance and not f.missing]
+        counts = (str(verdicts.count(verdict)) for verdict in ("pass", "reported"))
+        lines.append(_row([topic, str(len(findings)), *counts, f"{max(ratios, default=0.0):.2g}"]))
+    return "\n".join(lines)
+
+
 def replace_table(page: str, table: str) -> str:
     """Return a page with what is between its two markers replaced.
 
@@ -147,7 +160,8 @@ def main(arguments: list[str] | None = None) -> int:
         _plain(options.topic, results)
     if options.update is not None:
         page = options.update.read_text(encoding="utf-8")
-        table = f"{headline(results, time.process_time())}\n\n{markdown(results)}"
+        head = headline(results, time.process_time())
+        table = f"{head}\n\n{by_topic(results)}\n\n{markdown(results)}"
         options.update.write_text(replace_table(page, table), encoding="utf-8")
     verdicts = [finding.verdict for _, finding in results]
     if not (options.markdown or options.json):

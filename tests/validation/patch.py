@@ -18,7 +18,10 @@ from wrenchbook.fea.solve import Solver
 from wrenchbook.fea.spec.material import Material
 from wrenchbook.fea.tensors import rotation
 
-KINDS = ("hex8", "hex20", "hex27", "tet4", "tet10", "wedge6", "wedge15")
+KINDS = (
+    *("hex8", "hex20", "hex27", "tet4", "tet10"),
+    *("wedge6", "wedge15", "pyramid5", "pyramid13"),
+)
 MATERIAL = (3.0e9, 0.3)
 COUPLINGS = ("rigid", "distributed")
 
@@ -67,7 +70,7 @@ def _patch(kind: str) -> Mesh:
 
 @case("patch")
 def constant_strain() -> Iterator[Finding]:
-    """Patch test: 27 distorted cells under a linear displacement of their surface."""
+    """Patch test: 27 distorted cubes under a linear displacement of their surface."""
     gradient = np.array([[0.3, -0.2, 0.5], [0.7, 0.1, -0.4], [-0.6, 0.2, 0.9]])
     for kind in KINDS:
         mesh = _patch(kind)
@@ -80,7 +83,7 @@ def constant_strain() -> Iterator[Finding]:
 
 @case("patch")
 def large_constant_deformation() -> Iterator[Finding]:
-    """Patch test at large deformation: 27 distorted cells, stretched 10 %, rotated 49 degrees."""
+    """Patch test at large deformation: 27 distorted cubes, stretched 10 %, rotated 49 degrees."""
     stretch = np.eye(3) + 0.1 * np.array([[1.0, 0.3, 0.1], [0.2, -0.4, 0.5], [0.6, 0.1, 0.8]])
     gradient = rotation(_ROTATION_VECTOR) @ stretch
     for kind in KINDS:

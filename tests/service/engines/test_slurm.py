@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 import sys
-import textwrap
 
 import pytest
 
@@ -14,7 +13,7 @@ from wrenchbook.service.jobs.dask import DaskEngine
 from wrenchbook.service.jobs.dispatcher import Dispatcher
 from wrenchbook.service.ledger import Ledger
 
-RECIPE = re.compile(r"^    import threading\n.*?\.wait\(\)\n", re.MULTILINE | re.DOTALL)
+RECIPE = re.compile(r"^import threading\n.*?\.wait\(\)\n", re.MULTILINE | re.DOTALL)
 SBATCH = """#!/bin/sh
 cp "$1" {folder}/job.sh
 setsid sh {folder}/job.sh > {folder}/job.log 2>&1 &
@@ -31,7 +30,7 @@ def test_the_recipe_of_the_readme_solves_in_workers_that_sbatch_has_started(tmp_
         (tmp_path / name).chmod(0o755)
     cluster = Cluster(tmp_path)
     readme = (SOURCES / "service" / "cluster" / "README.md").read_text()
-    recipe = textwrap.dedent(RECIPE.search(readme)[0])
+    recipe = RECIPE.search(readme)[0]
     recipe = recipe.replace('"port": 8786', f'"port": {cluster.port}, "host": "127.0.0.1"')
     environment = cluster.environment | {"TMPDIR": str(tmp_path)}
     environment["WRENCHBOOK_SOLVE"] = "stand_in:quick"
