@@ -72,17 +72,12 @@ class NotCoveredError(RefusedError):
     """
 
     def __init__(
-        self,
-        message: str,
-        component: Component,
-        wrench: Floats,
-        limit: Tolerance | None,
-        **facts: Any,
+        self, why: str, component: Component, wrench: Floats, limit: Tolerance | None, **facts: Any
     ) -> None:
         inside = component.load_range.holds(wrench)[0]
         how = "" if inside else " with beyond_range (--beyond-range)"
         solve = f"'queue' or 'wait'{how} for a solve, or " if component.has_fea else ""
-        message = f"{message} Ask with on_thin {solve}'estimate' for the best guess."
+        message = f"{why} Ask with on_thin {solve}'estimate' for the best guess."
         tolerance = None
         if limit is not None:
             message = f"{message} Tolerance: {limit.translation:g} m, {limit.rotation:g} rad."
@@ -309,13 +304,10 @@ def _note_uncovered(
                 reason = _joined(reason, f"{awaited}; ask again once it is done")
     outcome.reply = reply._replace(reason=reason)
     if query.on_thin == "reject":
+        wrench = component.acting(np.atleast_2d(query.wrench))
+        limit, coverage = query.tolerance or table.tolerance, reply.coverage
         raise NotCoveredError(
-            f"{reason}.",
-            component,
-            component.acting(np.atleast_2d(query.wrench)),
-            query.tolerance or table.tolerance,
-            reason=reason,
-            coverage=reply.coverage,
+            f"{reason}.", component, wrench, limit, reason=reason, coverage=coverage
         )
     return rows
 
@@ -418,15 +410,11 @@ def submit_many(workspace: Workspace, name: str, wrenches: Floats, query: Query)
         first = query._replace(wrench=tuple(wrenches[uncovered[0]].tolist()))
         reason = _joined(answer(table, first).reason, soon)
         are = "is" if len(uncovered) == 1 else "are"
-        raise NotCoveredError(
-            f"{counted(len(uncovered), 'wrench')} of {len(wrenches)} {are} not covered. The first "
-            f"is number {uncovered[0]}: {reason}.",
-            component,
-            acting[uncovered[:1]],
-            query.tolerance or table.tolerance,
-            reason=reason,
-            uncovered=uncovered.tolist(),
-        )
+        why = f"{counted(len(uncovered), 'wrench')} of {len(wrenches)} {are} not covered."
+        why += f" The first is number {uncovered[0]}: {reason}."
+        wrench, limit = acting[uncovered[:1]], query.tolerance or table.tolerance
+        facts = {"reason": reason, "uncovered": uncovered.tolist()}
+        raise NotCoveredError(why, component, wrench, limit, **facts)
 
     rows = dict(zip(uncovered.tolist(), _rows_at(component, new, acting[uncovered]), strict=True))
     known = {index: row for index, row in rows.items() if row is not None}
