@@ -18,7 +18,7 @@ HEAD = """# Licences
 For everybody who packages or reviews wrenchbook: the licence of each package of the lock files, as
 its metadata states it. `make licences` writes this page.
 
-wrenchbook is under the MIT license. Its wheel holds one text by others: the headers of the FMI
+wrenchbook is under the MIT licence. Its wheel holds one text by others: the headers of the FMI
 standard (`service/fmu/c/fmi2*.h`, Modelica Association, 2-clause BSD). Each exported FMU holds them
 too. All packages below are installed beside wrenchbook and are not part of it.
 The wheel without extras installs NumPy alone.

@@ -232,7 +232,7 @@ def test_a_new_visitor_is_led_through_three_steps_by_keyboard_once(browser, plat
     browser.run("localStorage.clear()")
     browser.visit("#/")
     browser.named("dialog.tour h2", "New here?")
-    for step in ("1 of 3: Ask", "2 of 3: See the bar", "3 of 3: Fill"):
+    for step in ("1 of 3: Ask", "2 of 3: See where", "3 of 3: Fill"):
         browser.press(Keys.ENTER)
         browser.named("dialog.tour h2", step)
         browser.one(".pointed")
