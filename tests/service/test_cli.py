@@ -231,7 +231,7 @@ def test_import_sends_a_lag_and_prints_what_the_logs_show(stub: Stub, run: Run, 
     clock = {"applied_s": 0.351, "lag_s": 0.351, "uncertainty_s": 0.002}
     counts = {"read": 9, "loaded": 9, "refused": 0, "tare": 0, "unmatched": 0}
     empty = {key: [] for key in ("errors", "causes", "findings", "ignored", "above", "sheets")}
-    reply = {"inserted": 9, "existing": 0, **empty, "rig": None, "dry_run": False}
+    reply = {"inserted": 9, "existing": 0, **empty, "rig": None, "dry_run": False, "format": "csv"}
     stub.answers(Answer({**reply, "in_use": True, "rows": counts, "clock": clock}))
     logs = (str(tmp_path / "loads.csv"), "--displacements", str(tmp_path / "moved.csv"))
     status, out, _ = run("import", "plate", *logs, "--lag", "auto")

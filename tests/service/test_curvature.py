@@ -21,7 +21,7 @@ from wrenchbook.service.jobs.attempt import Attempt, Outcome, prepare, read_outc
 from wrenchbook.service.jobs.dispatcher import record
 from wrenchbook.service.ledger import ImportOrigin, Ledger
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table
+from wrenchbook.service.tables.exporting import FileFormat, ExportRequest, export_table
 from wrenchbook.service.tables.importing import copy_rows, import_files
 from wrenchbook.service.tables.rows import ExportRows
 from wrenchbook.surrogate.table.meta import TableMeta
@@ -116,7 +116,7 @@ def test_the_outcome_of_a_job_becomes_a_row_with_it(ledger, tmp_path, thirds, st
 
 @pytest.mark.parametrize("space", [DEFAULT, WARM], ids=["default", "temperature"])
 @pytest.mark.parametrize("form", ["csv", "json", "hdf5", "xlsx", "parquet"])
-def test_an_exported_table_is_imported_with_it(ledger, tmp_path, form: ExportFormat, space: Space):
+def test_an_exported_table_is_imported_with_it(ledger, tmp_path, form: FileFormat, space: Space):
     inputs = len(space.inputs)
     own = LoadRange(-10 * np.ones(inputs), 10 * np.ones(inputs), space)
     plate, copy = (component(name, tmp_path, own) for name in ("plate", "copy"))

@@ -134,7 +134,7 @@ def test_comparisons_take_turns_in_each_server_of_a_process(tmp_path, monkeypatc
         time.sleep(0.2)
         return Response("{}")
 
-    monkeypatch.setattr(library, "_compared", slow)
+    monkeypatch.setattr(library, "_compare", slow)
     for name in ("first", "second"):
         app = create_app(Settings(tmp_path / name, solvers=0))
         with TestClient(app) as client, ThreadPoolExecutor(2) as threads:

@@ -22,7 +22,7 @@ from wrenchbook.service.ledger import ImportOrigin, Ledger, NotedRows
 from wrenchbook.service.ledger.rows import MAX_CHANGES
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
-from wrenchbook.service.tables.exporting import ExportFormat, ExportRequest, export_table
+from wrenchbook.service.tables.exporting import FileFormat, ExportRequest, export_table
 from wrenchbook.service.tables.importing import import_files
 from wrenchbook.service.tables.rows import ExportRows
 from wrenchbook.surrogate.table.meta import TableMeta
@@ -126,11 +126,11 @@ def test_the_columns_of_one_interface_are_those_of_before():
     assert len(labels) == 54
 
 
-FORMATS: list[ExportFormat] = ["csv", "json", "hdf5", "xlsx", "parquet"]
+FORMATS: list[FileFormat] = ["csv", "json", "hdf5", "xlsx", "parquet"]
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_an_exported_table_of_a_link_is_imported_to_the_same_rows(tmp_path, form: ExportFormat):
+def test_an_exported_table_of_a_link_is_imported_to_the_same_rows(tmp_path, form: FileFormat):
     link, copy = (
         Component(name, name, tmp_path, "", False, True, LINK_RANGE, None, False)
         for name in ("link", "copy")
