@@ -212,7 +212,11 @@ class Attached:
     coupling: Coupling = key("", '"distributed"', kw_only=True)
     """`distributed`: by the least-squares mean of the group; `rigid`: as a rigid body"""
     point: Point | None = key(
-        "m", "[0.0, 0.0, 0.01]", default=None, default_text="the group's area centre", kw_only=True
+        "m",
+        "[0.0, 0.0, 0.01]",
+        default=None,
+        default_text="the area centre; of a spring midway",
+        kw_only=True,
     )
     """where an interface's wrench acts and its displacement is measured, or a spring is, in the
     mesh's axes"""

@@ -70,6 +70,15 @@ class Displacement(messages.Displacement):
     interfaces : dict of str to Displacement
         Displacements by interface, of a component with several interfaces; the answer itself then
         has no translation and rotation. Empty otherwise.
+    missing : tuple of str
+        Outputs that no row has.
+    notes : tuple of str
+        Notes of the solve of this wrench, such as on distorted cells.
+    error, error_parts, error_of_a_reading : mapping or None
+        The error bar, its parts, and the error bar of one further reading of a rig, as the JSON
+        has them, m and rad; the last two with ``detail``.
+    axes, method_detail : tuple of dict, and str
+        With ``detail``: the displacement by the loads of each axis; settings of the method.
     raw : dict
         The JSON of the reply.
     """

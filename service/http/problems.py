@@ -203,8 +203,9 @@ def problem_of(error: Exception) -> HttpProblemError:
     if isinstance(error, SolveFailedError):
         title = f"{title}: {error.kind}"
     headers = None
-    passing = ledger.LedgerBusyError | ledger.QuotaError | TableBehindError | ListenerQuotaError
-    if isinstance(error, passing):
+    if isinstance(
+        error, ledger.LedgerBusyError | ledger.QuotaError | TableBehindError | ListenerQuotaError
+    ):
         headers = {"Retry-After": str(ceil(error.retry_s))}  # they pass by themselves
     facts = error.facts if isinstance(error, RefusedError) else {}
     return HttpProblemError(status, name, title, str(error), headers=headers, **facts)

@@ -21,7 +21,7 @@ from wrenchbook.service.jobs.attempt import Attempt, Outcome, prepare, read_outc
 from wrenchbook.service.jobs.dispatcher import record
 from wrenchbook.service.ledger import ImportOrigin, Ledger
 from wrenchbook.service.library.component import Component
-from wrenchbook.service.tables.exporting import FileFormat, ExportRequest, export_table
+from wrenchbook.service.tables.exporting import ExportRequest, FileFormat, export_table
 from wrenchbook.service.tables.importing import copy_rows, import_files
 from wrenchbook.service.tables.rows import ExportRows
 from wrenchbook.surrogate.table.meta import TableMeta

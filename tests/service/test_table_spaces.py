@@ -22,7 +22,7 @@ from wrenchbook.service.ledger import ImportOrigin, Ledger, NotedRows
 from wrenchbook.service.ledger.rows import MAX_CHANGES
 from wrenchbook.service.library.component import Component
 from wrenchbook.service.library.library import Library
-from wrenchbook.service.tables.exporting import FileFormat, ExportRequest, export_table
+from wrenchbook.service.tables.exporting import ExportRequest, FileFormat, export_table
 from wrenchbook.service.tables.importing import import_files
 from wrenchbook.service.tables.rows import ExportRows
 from wrenchbook.surrogate.table.meta import TableMeta
