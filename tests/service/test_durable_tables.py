@@ -433,3 +433,21 @@ def test_a_full_disk_leaves_the_version_before_and_the_file_is_written_later(sit
     assert site.wrenches() == expected(30)
     version = site.tables.surrogate("rig").version
     assert [path.name for path in packed_files(site)] == [f"rig-{version}.wbt"]
+
+
+def test_a_build_of_rows_that_are_in_the_hdf5_file_ends_the_fault_of_a_full_disk(site, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    site.insert(30)
+    site.builder.stop()
+    files = TableStore(site.folder / "tables", site.ledger)
+    library = {"rig": site.library["rig"]}
+    builder = TableBuilder(files, library, site.state)
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "write_packed", full)
+        builder._run_build("rig")
+    assert "No space left on device" in builder.faults()["rig"]
+    library["rig"] = replace(library["rig"])  # edited, so that the table is built again
+    builder._run_build("rig")
+    assert builder.faults() == {}
