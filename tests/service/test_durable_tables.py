@@ -451,3 +451,19 @@ def test_a_build_of_rows_that_are_in_the_hdf5_file_ends_the_fault_of_a_full_disk
     library["rig"] = replace(library["rig"])  # edited, so that the table is built again
     builder._run_build("rig")
     assert builder.faults() == {}
+
+
+def test_a_table_that_frees_no_memory_is_not_dropped():
+    class Table:
+        def __init__(self, used, rows):
+            self.used, self.rows, self.dropped = used, rows, False
+
+        def rows_in_memory(self):
+            return self.rows
+
+        def drop(self):
+            self.dropped = True
+
+    newest, unsaved = Table(2.0, 1000), Table(1.0, 0)
+    drop_least_used([newest, unsaved], 1e-6)
+    assert not unsaved.dropped
