@@ -275,6 +275,7 @@ class TableBuilder:
         self._build(component, rows, version)
         if version == after and not self._versions[name].packed:
             self._versions[name].save_at = None  # its HDF5 file has these rows
+            self._unwritten.pop(name, None)
 
     def _build(self, component: Component, rows: Rows, number: int) -> None:
         """Build version `number` of a table from its rows, and write its packed file."""

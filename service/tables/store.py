@@ -348,7 +348,7 @@ def drop_least_used(tables: Iterable[InMemory], limit_mb: float) -> None:
     total = 0.0
     for table in sorted(tables, key=lambda table: -table.used):
         size = ROW_MB * table.rows_in_memory()
-        if total and total + size > limit_mb:
+        if size and total and total + size > limit_mb:
             table.drop()
         else:
             total += size

@@ -433,3 +433,37 @@ def test_a_full_disk_leaves_the_version_before_and_the_file_is_written_later(sit
     assert site.wrenches() == expected(30)
     version = site.tables.surrogate("rig").version
     assert [path.name for path in packed_files(site)] == [f"rig-{version}.wbt"]
+
+
+def test_a_build_of_rows_that_are_in_the_hdf5_file_ends_the_fault_of_a_full_disk(site, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    site.insert(30)
+    site.builder.stop()
+    files = TableStore(site.folder / "tables", site.ledger)
+    library = {"rig": site.library["rig"]}
+    builder = TableBuilder(files, library, site.state)
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "write_packed", full)
+        builder._run_build("rig")
+    assert "No space left on device" in builder.faults()["rig"]
+    library["rig"] = replace(library["rig"])  # edited, so that the table is built again
+    builder._run_build("rig")
+    assert builder.faults() == {}
+
+
+def test_a_table_that_frees_no_memory_is_not_dropped():
+    class Table:
+        def __init__(self, used, rows):
+            self.used, self.rows, self.dropped = used, rows, False
+
+        def rows_in_memory(self):
+            return self.rows
+
+        def drop(self):
+            self.dropped = True
+
+    newest, unsaved = Table(2.0, 1000), Table(1.0, 0)
+    drop_least_used([newest, unsaved], 1e-6)
+    assert not unsaved.dropped
