@@ -136,7 +136,8 @@ def _replace_by_nonlinear(solver: Solver, stresses: list[LargestStress]) -> list
     component = solver.component
     regions = [material.region for material in component.materials]
     coordinates, numbers = integration_points(component, component.mesh.points)
-    for i, linear in enumerate(stresses):
+    nonlinear = list[LargestStress]()
+    for linear in stresses:
         try:
             stress = solver.stresses(solver.solve([*linear.wrench, *linear.further.values()]))
         except SolveFailed as failure:
@@ -148,7 +149,8 @@ def _replace_by_nonlinear(solver: Solver, stresses: list[LargestStress]) -> list
         point = int(equivalent.argmax())
         largest = float(equivalent[point])
         at = coordinates[point].tolist()
-        stresses[i] = replace(linear, largest=largest, at=at, first_order=False)
+        nonlinear.append(replace(linear, largest=largest, at=at, first_order=False))
+    stresses[:] = nonlinear  # all or none, as the warning says
     return []
 
 

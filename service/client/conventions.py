@@ -198,9 +198,10 @@ def to_pybullet(wrench: ArrayLike, component: Side) -> Vector:
 def quaternion_wxyz(rotation: ArrayLike) -> Vector:
     """Return a rotation vector, shape (3,), rad, as MuJoCo and Drake write it: (w, x, y, z).
 
-    The unit quaternion has shape (4,) and is dimensionless.
+    The unit quaternion has shape (4,) and is dimensionless. Raises InvalidArgument for another
+    shape, and for numbers that are not finite.
     """
-    vector = np.asarray(rotation, dtype=float)
+    vector = floats_of("rotation", rotation, (3,))
     angle = math.sqrt(float(vector @ vector))
     return np.concatenate([[math.cos(0.5 * angle)], 0.5 * sinc(0.5 * angle) * vector])
 

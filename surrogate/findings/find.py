@@ -160,7 +160,8 @@ def effect_findings(effects: Effects, displacement: Floats) -> list[RigFinding]:
     )
     for cause, entry, sizes in causes:
         largest = sizes[np.abs(sizes).argmax(axis=0), np.arange(len(ranges))]
-        remarkable = np.flatnonzero(np.abs(largest) > REMARKABLE * ranges)
+        # A channel at one value has no range to compare with.
+        remarkable = np.flatnonzero((np.abs(largest) > REMARKABLE * ranges) & (ranges > 0))
         if not len(remarkable):
             continue
         parts = np.abs(largest[remarkable]) / ranges[remarkable]

@@ -93,7 +93,8 @@ def slopes_at_zero(rows: Rows, load_range: LoadRange, response: RobustFit) -> Sl
             others = np.ones(len(x)), time[pattern], direction, own**3, own**5
             columns.append(np.column_stack((x, signs, *others)))
         spans = np.maximum(np.ptp(y, axis=0), np.finfo(float).tiny)
-        means, spreads = _posterior(x, (y - y.mean(axis=0)) / spans, columns)
+        centred = np.where(np.ptp(y, axis=0) > 0, y - y.mean(axis=0), 0.0)  # the mean is rounded
+        means, spreads = _posterior(x, centred / spans, columns)
         mean[outputs] = means * spans[:, None]
         covariances[outputs] = spreads * spans[:, None, None] ** 2
     is_varied = np.ptp(loads, axis=0) > ZERO_LOAD

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from wrenchbook.service.client import Displacement
 from wrenchbook.service.client import conventions as conv
+from wrenchbook.service.client.errors import InvalidArgument
 from wrenchbook.service.client.rotation import rotation_matrix
 
 WRENCH = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
@@ -164,6 +165,12 @@ def test_power_does_not_depend_on_where_a_wrench_is_expressed():
     spin = axes @ twist[3:]
     velocity = axes @ twist[:3] - np.cross(spin, point)
     assert there @ np.concatenate([velocity, spin]) == pytest.approx(wrench @ twist, rel=1e-12)
+
+
+@pytest.mark.parametrize("rotation", [[1, 2], [[0, 0, 0.1]], [np.nan, 0, 0]])
+def test_a_quaternion_of_no_rotation_vector_is_refused(rotation):
+    with pytest.raises(InvalidArgument, match="rotation"):
+        conv.quaternion_wxyz(rotation)
 
 
 def test_quaternions_come_in_both_orders():

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from wrenchbook.fea.bundle.read import read_bundle
 from wrenchbook.fea.bundle.shipped import SHIPPED
 from wrenchbook.fea.check import as_text, report
 from wrenchbook.fea.check.mechanisms import describe, free_motions
-from wrenchbook.fea.check.strength import strength
+from wrenchbook.fea.check.strength import LargestStress, _replace_by_nonlinear, strength
 from wrenchbook.fea.check.trial import largest
 from wrenchbook.fea.component import build
 from wrenchbook.fea.failure import SolveFailed
@@ -415,3 +416,28 @@ def test_von_mises_says_little_of_an_orthotropic_material():
     results, warnings = strength(Solver(part), nonlinear=False)
     assert len(results) == 2
     assert "suits isotropic materials only" in warnings[0].message
+
+
+def test_a_failed_solve_of_a_corner_leaves_all_stresses_linear(monkeypatch):
+    """Those of the first material were nonlinear, beside a warning that all are linear."""
+    placed = (np.zeros((2, 3)), np.array([0, 1]))
+    name = "wrenchbook.fea.check.strength.integration_points"
+    monkeypatch.setattr(name, lambda component, points: placed)
+    materials = [SimpleNamespace(region="first"), SimpleNamespace(region="second")]
+    component = SimpleNamespace(materials=materials, mesh=SimpleNamespace(points=None))
+    outcomes = iter([1, SolveFailed("not_converged", "no convergence")])
+
+    def solve(wrench):
+        outcome = next(outcomes)
+        if isinstance(outcome, SolveFailed):
+            raise outcome
+        return outcome
+
+    solver = SimpleNamespace(component=component, solve=solve, stresses=lambda _: np.ones((2, 6)))
+    stresses = [
+        LargestStress(material.region, 5.0, [0, 0, 0], [1, 0, 0, 0, 0, 0], {}, 1e8, True)
+        for material in materials
+    ]
+    (problem,) = _replace_by_nonlinear(solver, stresses)
+    assert "are linear" in str(problem)
+    assert [stress.first_order for stress in stresses] == [True, True]

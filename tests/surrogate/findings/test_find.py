@@ -254,3 +254,15 @@ def test_a_factor_has_the_name_of_a_unit_of_its_own_quantity(factor, quantity, n
     """A force 57 times too large was called one in degrees."""
     remark = named_unit(factor, (quantity,))
     assert (name in remark) if name else not remark
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_channel_at_one_value_has_no_share_of_a_range():
+    """A finding said that it was inf % of its range."""
+    wrenches, moved = np.zeros((60, 6)), np.zeros((60, 6))
+    wrenches[:, 2] = 900 * np.sin(np.linspace(0, 12, 60))
+    noise = np.random.default_rng(0).normal(0, 1e-9, 60)
+    moved[:, 2], moved[:, 5] = 1e-7 * wrenches[:, 2] + noise, 1e-3
+    load_range = LoadRange(np.array([0, 0, -900.0, 0, 0, 0]), np.array([0, 0, 900.0, 0, 0, 0]))
+    found = find(Rows.of(wrenches, moved, source=["rig"] * 60), load_range)
+    assert not [one for one in found if "inf" in one.message]
