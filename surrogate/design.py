@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import log
+from math import exp, log
 from typing import Literal
 
 import numpy as np
@@ -356,7 +356,9 @@ class _Refinement:
         if not (np.isfinite(before) and before > worst > 1.0):
             return "; its rows do not show yet how many solves the tolerance takes"
         rate = log(before / worst) / log(count / half_count)
-        more = count * (min(worst ** (1 / rate), MAX_SOLVES) - 1) if rate > MIN_RATE else np.inf
+        more = np.inf
+        if rate > MIN_RATE:
+            more = count * (exp(min(log(worst) / rate, log(MAX_SOLVES))) - 1)
         if more <= budget:
             return ""
         number = (

@@ -129,7 +129,9 @@ def _segment(
         return [names[0], *labels[1:]], None
 
     labels[0] = f"{_X} [{next(iter(values('X_Unit_Label').values()), 's')}]"
-    clocks = set(zip(values("X0").values(), values("Delta_X").values(), strict=False))
+    starts, steps = values("X0"), values("Delta_X")
+    timed = starts.keys() | steps.keys() if starts and steps else ()
+    clocks = {(starts.get(at, "none"), steps.get(at, "none")) for at in timed}
     if len(clocks) > 1:
         pairs = " and ".join(f"{x0}, {step}" for x0, step in sorted(clocks)[:2])
         raise ValueError(

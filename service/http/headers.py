@@ -76,7 +76,8 @@ def with_security_headers(send: Send, path: str, origin: bytes | None) -> Send:
             elif not is_main:
                 policies = ((b"content-security-policy", _PAGE),)
             added = (*common, *policies, *readers)
-            fields += [header for header in added if header[0] not in present]
+            # A reply may have several Vary.
+            fields += [one for one in added if one[0] not in present or one[0] == b"vary"]
             message = {**message, "headers": fields}
         await send(message)
 

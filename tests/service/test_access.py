@@ -465,6 +465,11 @@ def test_json_is_taken_only_as_json(unlocked, kind, url):
     assert unlocked.post(url, content=b"{}", headers=headers).status_code == 415
 
 
+def test_a_file_for_a_listed_site_varies_by_origin_too(locked):
+    reply = locked.get("/page/icon.svg", headers={"Origin": "https://lab.example"})
+    assert set(reply.headers.get_list("vary")) == {"Accept-Encoding", "Origin"}
+
+
 def test_a_listed_site_is_let_in_and_told_so_and_no_other_is(locked, secrets_):
     listed = {"Origin": "https://lab.example"}
     ahead = {**listed, "Access-Control-Request-Method": "POST"}

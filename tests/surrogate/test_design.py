@@ -1,4 +1,5 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from tests.surrogate.energies import Part, part, stiffening
 from tests.surrogate.kriging.responses import solved
 from tests.surrogate.law import build
 from tests.surrogate.responses import HIGH, RANGE, coupled, full_wrenches, smooth, table
+from wrenchbook.surrogate import design
 from wrenchbook.surrogate.answer import allowed_by
 from wrenchbook.surrogate.build import Table
 from wrenchbook.surrogate.design import (
@@ -314,3 +316,17 @@ def test_an_elastic_part_and_one_with_a_stiff_freedom_are_not_indefinite():
 def test_an_unknown_compliance_has_no_eigenvalue():
     least, _ = weakest(np.array([np.eye(2), np.full((2, 2), np.nan)]), np.ones(2))
     assert np.isfinite(least).tolist() == [True, False]
+
+
+def test_a_tolerance_far_too_small_has_an_estimate_and_no_overflow(monkeypatch):
+    """The error to the power of 1 / rate was beyond the largest float."""
+    worst, rate = 1e6, 0.015
+    before = worst * 2**rate
+    kriging = SimpleNamespace(sigma_with=lambda _, points: np.full((len(points), 6), before))
+    half = SimpleNamespace(groups=[SimpleNamespace(kriging=kriging)])
+    monkeypatch.setattr(design, "build", lambda rows, load_range: half)
+    rows = Rows.of(np.ones((60, 6)), np.ones((60, 6)))
+    surrogate = SimpleNamespace(rows=rows, load_range=RANGE)
+    fit = SimpleNamespace(surrogate=surrogate, allowed=np.ones(6), outputs=list(range(6)))
+    told = design._Refinement._estimate_of_solves(fit, np.zeros((4, 6)), worst, 10)
+    assert "more than a million further solves" in told
