@@ -24,6 +24,7 @@ MAGIC = b"LabVIEW Measurement"
 _HEAD = 4096  # bytes: the header of a file with a long description
 _SEPARATORS = re.compile(r"^(Separator|Decimal_Separator|X_Columns)([\t,;])(\S+)", re.MULTILINE)
 _X, _COMMENT, _END = "X_Value", "Comment", "***End_of_Header***"
+_SPECIAL, _SPECIAL_END = "***Start_Special***", "***End_Special***"
 # Tags with which the header of a segment may begin.
 _TAGS = {"Channels", "Samples", "Notes", "Test_Name", "Test_Numbers", "Test_Series", "Date", "Time"}
 _TAGS |= {"X_Dimension", "X_Unit_Label", "X0", "Delta_X", "Y_Dimension", "Y_Unit_Label"}
@@ -45,7 +46,7 @@ def read_lvm(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     try:
         with path.open("rb") as content:
             lines = records_of(lines_of(content, encoding_of(path)), 1, delimiter)
-            records = _rows(lines, has_x, options.columns, report.mistakes)
+            records = _rows(_without_special(lines), has_x, options.columns, report.mistakes)
             line, labels = next(records, (0, [""]))
             known = {_X: "time"} if labels[0].startswith(f"{_X} [") else {}
             known |= {_COMMENT: "note"} if _COMMENT in labels else {}
@@ -54,6 +55,18 @@ def read_lvm(path: Path, options: Options, report: ReadReport) -> Iterator[Parse
     except ValueError as error:
         line = getattr(error, "line", 0)
         report.mistakes.ruin(line, "file", f"is no readable LabVIEW file: {error}")
+
+
+def _without_special(records: Iterator[Record]) -> Iterator[Record]:
+    """Leave out the special blocks, which are data of the program that wrote the file.
+
+    Raises ValueError if a block has no end.
+    """
+    for line, cells in records:
+        if cells[0].strip() != _SPECIAL:
+            yield line, cells
+        elif not any(inner[0].strip() == _SPECIAL_END for _, inner in records):
+            raise ValueError(f"the special block of line {line} has no {_SPECIAL_END}")
 
 
 def _rows(
