@@ -49,13 +49,18 @@ def _section(call: str, command: Any, group: Any) -> list[str]:
     purpose = (command.help or group.help or "").partition("\n\n")[0]
     options = [*(_printed(call) if call in PROGRAMS else _typed(command))]
     common = [text for name, text in COMMON.items() if name in (row[0] for row in options)]
-    own = [row for row in options if row[0] not in COMMON]
+    listed = [row for row in options if row[0] not in COMMON]
     arguments = [*_positional(call, command)]
-    usage = ["wrenchbook", call, *(word for word, _ in arguments), *(["[OPTIONS]"] if own else [])]
+    usage = [
+        "wrenchbook",
+        call,
+        *(word for word, _ in arguments),
+        *(["[OPTIONS]"] if listed else []),
+    ]
     rows = [(f"`{word}`", "", meaning) for word, meaning in arguments]
     rows += [
         (f"`{' '.join([name, *filter(None, [value])])}`", default, text)
-        for name, value, default, text in own
+        for name, value, default, text in listed
     ]
     return [
         *(f"### {call}", "", " ".join(purpose.split()), ""),

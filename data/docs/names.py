@@ -215,15 +215,15 @@ def described(value: object, section: str) -> list[tuple[str, str, str]]:
 
 def _parameters(name: str, value: Callable) -> list[str]:
     """Return the table of a call's parameters; raise ValueError for one without a meaning."""
-    own = described(value, "Parameters")
-    named = {word.lstrip("*") for words, _, _ in own for word in words.split(", ")}
+    explained = described(value, "Parameters")
+    named = {word.lstrip("*") for words, _, _ in explained for word in words.split(", ")}
     order = [argument for argument in inspect.signature(value).parameters if argument != "self"]
     further: dict[tuple[str, str], list[str]] = {}
     for argument in order:
         if argument not in named:
             for meaning in _further(name, argument, value):
                 further.setdefault(meaning, []).append(argument)
-    rows = [(words.split(", "), kind, text) for words, kind, text in own]
+    rows = [(words.split(", "), kind, text) for words, kind, text in explained]
     rows += [(words, *meaning) for meaning, words in further.items()]
     rows.sort(key=lambda row: order.index(row[0][0].lstrip("*")))
     cells = [(", ".join(f"`{word}`" for word in words), *meaning) for words, *meaning in rows]
